@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.choices import ORDERS, POSE_FORMS, STILLS, PoseForm, StillName
+from mixseq.choices import ORDERS, STILLS, StillName
 from mixseq.cli import files, options
 from mixseq.cli.group import announce, as_bytes, length_text, print_table, progress_bar
 from mixseq.cli.info import bytes_of_frames, coding_facts, coding_rows, dimension_rows, size_row
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _OF_FITTING = (
     *("exact", "tolerance", "rank", "space", "segmentation", "joint_width", "placement"),
-    *("projection", "volume", "knots", "pose", "between"),
+    *("projection", "volume", "knots", "between"),
 )
 """Options of ``mixseq encode`` that apply only to uncompressed models."""
 
@@ -136,12 +136,6 @@ def compressed(
     help="Number of inner knots of all curves over time.  [default: as the tolerance needs, else all]",
 )
 @options.setting(
-    "--pose",
-    type=click.Choice(POSE_FORMS),
-    default="modes",
-    help="Key shapes: the mean and modes, or frames of the sequence.",
-)
-@options.setting(
     "--still",
     type=click.Choice(STILLS),
     help="Of a .glb: the first frame for other viewers, by Draco, as float32, or left out.  [default: draco]",
@@ -163,7 +157,6 @@ def command(
     timing: dict[str, Any],
     labels: files.LabelChoice,
     knots: int | None,
-    pose: PoseForm,
     still: StillName | None,
     check: bool,
     workers: AbstractContextManager[Executor],
@@ -202,7 +195,7 @@ def command(
         else:
             fitting = in_diagonals(fitting, reader, "tolerance")
             fitting |= {"parts": parts, **options.at_frames(timing, reader.header)}
-            model = mixseq.fit(reader, **fitting, knots=knots, pose=pose, progress=progress, workers=work)
+            model = mixseq.fit(reader, **fitting, knots=knots, progress=progress, workers=work)
         mixseq.save(target, model, still=still)
         seconds = perf_counter() - start
         if check:

@@ -10,7 +10,7 @@ from mixseq.operations.handles import Handle, pose
 from mixseq.operations.limbs import exaggerate_part, hold
 from mixseq.operations.resampling import resample
 from mixseq.operations.retiming import Retiming, read_retiming, retime
-from mixseq.operations.sculpt import sculpt, swap_key
+from mixseq.operations.sculpt import sculpt
 from mixseq.operations.shots import Moment, find_moments, fit_shots
 from mixseq.operations.sketch import drag, sketch
 from mixseq.operations.timeline import cut, in_place, loop, repeat, reverse, shift, speed, travel_of
@@ -45,7 +45,6 @@ __all__ = [
     "sketch",
     "smooth",
     "speed",
-    "swap_key",
     "transition",
     "travel_of",
     "with_body",

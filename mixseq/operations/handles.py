@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -155,6 +155,12 @@ def _check_vertices(model: Model, vertex_ids: Sequence[int | None], name: str) -
     return np.array(vertex_ids, dtype=np.int64)
 
 
+def _kept_rows(model: Model, keep: Sequence[int]) -> list[sparse.csr_array]:
+    """Return a row ``(1, V)`` for every kept vertex."""
+    ids = _check_vertices(model, keep, "keep")
+    return [weight_row(model.header.vertex_count, vertex_ids, np.ones(1)) for vertex_ids in ids[:, None]]
+
+
 @public
 def pose(
     model: Model,
@@ -210,9 +216,7 @@ def pose(
     """
     if not (np.isfinite(softness) and softness > 0):
         raise SettingsError(f"softness is {softness}; a positive number of diagonals is expected")
-    kept = [
-        weight_row(model.header.vertex_count, ids[None], np.ones(1)) for ids in _check_vertices(model, keep, "keep")
-    ]
+    kept = _kept_rows(model, keep)
     keys = _sort_by_time(model, handles, kept, move_bodies)
     if len(model.times) == 1:
         if not (start is end is fade is None):
@@ -230,6 +234,38 @@ def pose(
             difference = posed.space.shape_difference(posed.curve([time])[0], points, edited)
             posed = add_key_shape(posed, difference, weights.curve(posed, number))
     return posed
+
+
+class DraggedPose:
+    """Poses of a model at one time while its handles are dragged: each is solved from the one before, in one round."""
+
+    def __init__(self, model: Model, handles: Sequence[Handle], keep: Sequence[int] = (), exact: bool = False) -> None:
+        """Take handles at one time, whose positions will change, and the other arguments of `pose`."""
+        kept = _kept_rows(model, keep)
+        ((time, key),) = _sort_by_time(model, handles, kept, None).items()
+        is_still = len(model.times) == 1
+        solver: Any = StillSolver if is_still else PoseSolver
+        self.model = model
+        self._solver = solver(model, key.rows, DEFAULT_SOFTNESS, key.is_free)
+        self._time = () if is_still else (time,)
+        self._kept_targets = key.targets[len(key.targets) - len(kept) :]
+        self._pose = self._solver.unchanged()
+        before = self._solver.points(*self._time, self._pose)
+        self._basis = displacement_basis(model, key.rows, before) if exact else None
+
+    def points(self, targets: Float) -> Float:
+        """Return the points ``(V, 3)`` with handles at targets ``(n, 3)``."""
+        targets = np.concatenate([targets, self._kept_targets])
+        self._pose = self._solver.solve(*self._time, targets, start=self._pose, rounds=1)
+        points = self._solver.points(*self._time, self._pose)
+        if self._basis is not None:
+            points = points + self._basis @ (targets - self._solver.positions(points))
+        return np.asarray(points)
+
+    def moved_model(self) -> Model:
+        """Return the model with the change of the last pose at all times, which moves all bodies."""
+        moved: Model = self._solver.moved_model(self._pose)
+        return moved
 
 
 def _reach(
@@ -251,8 +287,6 @@ def _reach(
 
 def _pose_still(model: Model, keys: dict[float, Key], solvers: Sequence[StillSolver], exact: bool) -> Model:
     """Fit a model to a still at its time and to its poses with handles at targets."""
-    if model.bodies:
-        raise SettingsError("the model is a still of several bodies; pose one of them, and then give it the others")
     poses = {float(model.times[0]): model(model.start)}
     for solver, (time, key) in zip(solvers, keys.items(), strict=True):
         poses[time] = _reach(model, solver, time, solver.points(solver.solve(key.targets)), key.targets, exact)

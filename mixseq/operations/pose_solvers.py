@@ -51,6 +51,7 @@ from mixseq.mesh.rotations import (
     rotvec_to_matrix,
     rotvec_to_quat,
 )
+from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.spaces.mixed.joint_projection import from_complex_step, to_complex_step
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
@@ -159,6 +160,15 @@ class PoseSolver:
         weights = self.model.pose.weights(point)
         return np.concatenate([weights @ self.model.shapes, placement[None], self.model.correction([time])], axis=1)
 
+    def moved_model(self, change: PoseChange) -> Model:
+        """Return the model with a change at all times."""
+        time, placement = self.model.time, self.model.placement
+        placements = np.stack([self.placement(each, change.moves) for each in placement.values])
+        return self.model.edited(
+            time=Curve(time.times, time.values + change.scores @ self.directions),
+            placement=Curve(placement.times, placements),
+        )
+
     def positions(self, points: Float) -> Float:
         """Return the positions ``(..., n, 3)`` of handles in meshes ``(..., V, 3)``."""
         return np.asarray(self._sums @ points[..., self._vertex_ids, :])
@@ -263,6 +273,8 @@ class StillSolver:
         """Take the weights ``(1, V)`` of every handle, the softness in diagonals, and whether bodies move, too."""
         self.model, self.rows, self.softness, self.space = model, rows, softness, _anchored_space(model)
         self.tree = self.space.articulation
+        if model.bodies:
+            raise SettingsError("the model is a still of several bodies; pose one of them, and then give it the others")
         if len(self.space.decomposition.parts) == 1:
             raise SettingsError(
                 "the model is a still of one part, which cannot bend; fit it with parts=, a number or labels of faces"

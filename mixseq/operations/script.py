@@ -267,7 +267,6 @@ OPERATIONS: Mapping[str, str] = {
     "pose": "handles:pose",
     "drag": "sketch:drag",
     "sketch": "sketch:sketch",
-    "swap_key": "sculpt:swap_key",
 }
 """Module and function of every operation by name. Modules are imported on first use."""
 

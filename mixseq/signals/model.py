@@ -18,7 +18,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import read_only
@@ -138,7 +138,7 @@ class Model(Decodable, PickledWithoutCaches):
         >>> import mixseq
         >>> from mixseq.creature import walk_cycle
         >>> from mixseq.operations import key_poses, speed, with_body
-        >>> fox = mixseq.fit(walk_cycle(frames=6), pose="keys", exact=True)
+        >>> fox = mixseq.fit(walk_cycle(frames=6), exact=True)
         >>> keys = key_poses(fox)
         >>> both = with_body(fox, keys.with_points(keys.points * [1.0, 1.5, 1.0]), "tall fox")
         >>> speed(both, 2.0).body("tall fox").end < fox.end
@@ -148,6 +148,10 @@ class Model(Decodable, PickledWithoutCaches):
             return self
         if name not in self.body_names:
             raise SettingsError(f"there is no body {name!r}; bodies are {', '.join(map(repr, self.body_names))}")
+        return self._with_body(name)
+
+    def _with_body(self, name: str) -> Model:
+        """Return the model with one of its further bodies in front."""
         chosen = self.bodies[self.body_names.index(name) - 1]
         turns = np.tile(np.eye(3), (self.space.correction_dim // 6, 1, 1))
         turn, shifts = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros((self.space.centre_count, 3))
@@ -306,21 +310,6 @@ class Model(Decodable, PickledWithoutCaches):
     def vectors(self) -> Float:
         """The vectors ``(T, D)`` of the frames."""
         return self.curve(self.times)
-
-    @property
-    def key_frames(self) -> NDArray[np.int64]:
-        """Frame ``(K,)`` that equals each key shape, -1 for key shapes without an equal frame."""
-        weights = self.pose.weights(self.time(self.times))
-        frames = np.full(len(self.shapes), -1, dtype=np.int64)
-        keys = weights.argmax(axis=1)  # only these key shapes can equal a frame
-        for key in np.unique(keys):
-            candidates = np.flatnonzero(keys == key)
-            unit_weights = np.zeros(len(self.shapes))
-            unit_weights[key] = 1.0
-            distances = np.abs(weights[candidates] - unit_weights).max(axis=1)
-            if distances.min() < 1e-6:
-                frames[key] = candidates[distances.argmin()]
-        return frames
 
     def embedding(self, times: ArrayLike, plane: Plane | None = None) -> Float:
         """Return the coordinates ``(N, 2)`` of the model in its main plane, in diagonals.

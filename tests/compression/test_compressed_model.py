@@ -15,7 +15,6 @@ import pytest
 import mixseq
 from mixseq.choices import OrderName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
-from mixseq.compression.bitstream.spatial_basis import encode_face_labels
 from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import MixseqWarning, SegmentationError, SettingsError
 from mixseq.operations import exaggerate_part, key_poses, reverse, with_body
@@ -198,9 +197,9 @@ def test_too_many_parts_are_told() -> None:
 def test_sizes_include_the_labels() -> None:
     sequence = bar(sides=5, rings=15, frames=6)
     coded = mixseq.compress(sequence, size=900)
-    assert coded.parts is not None
+    assert coded.labels is not None
     motion = [*coded.basis, *(stream for chunk in coded.chunks for stream in (chunk.coefficients, chunk.residuals))]
-    assert sum(map(len, motion)) + len(encode_face_labels(coded.parts, coded.header.faces)) <= 900
+    assert sum(map(len, motion)) + len(coded.labels.data) <= 900
 
 
 def test_compressed_sequences_are_played_as_their_files(bent_bar: MeshSequence, tmp_path: Path) -> None:
@@ -219,7 +218,7 @@ def test_compressed_sequences_are_played_as_their_files(bent_bar: MeshSequence, 
 @cache
 def herd() -> CompressedSequence:
     """A bar, a large one, and one that bends alike and has other vertices."""
-    thin = fit(bar(sides=5, rings=15, frames=6), pose="keys", exact=True)
+    thin = fit(bar(sides=5, rings=15, frames=6), exact=True)
     keys = key_poses(thin)
     order = np.random.default_rng(0).permutation(keys.vertex_count)
     other = mixseq.MeshSequence.from_arrays(1.5 * keys.points[:, order], np.argsort(order)[keys.faces], fps=1.0)

@@ -13,12 +13,14 @@ import pytest
 import mixseq
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.operations import Handle, pose
-from mixseq.operations.handles import weight_row
+from mixseq.operations.handles import DraggedPose, weight_row
 from mixseq.operations.pose_solvers import PoseSolver
 from mixseq.operations.script import Readers, read_script
 from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.curve import Curve
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
+from mixseq.signals.pose import PoseMap
 from mixseq.types import Float
 from tests.meshes import bent, rotation
 from tests.operations.chains import JOINTS, MESH, bone, chain
@@ -38,10 +40,10 @@ def hinged(angle: float) -> Float:
 
 
 @cache
-def hinge(form: str = "modes") -> Model:
+def hinge() -> Model:
     """Two bones, with a frame at each of the angles."""
     sequence = MeshSequence.from_arrays(np.stack([hinged(angle) for angle in ANGLES]), MESH[1], fps=10)
-    return fit(sequence, exact=True, parts=LABELS, pose="keys" if form == "keys" else "modes")
+    return fit(sequence, exact=True, parts=LABELS)
 
 
 @cache
@@ -130,8 +132,11 @@ def test_a_rigid_motion_of_everything_moves_the_result_only() -> None:
 
 
 def test_the_result_does_not_depend_on_the_coordinates_of_pose_space() -> None:
-    target = hinged(0.3)[TIP] + [0.01, 0.0, 0.01]
-    first, second = (pose(hinge(form), [Handle(0.2, target, TIP)], keep=BASE) for form in ("modes", "keys"))
+    target, model = hinged(0.3)[TIP] + [0.01, 0.0, 0.01], hinge()
+    turn = np.eye(model.pose.dim) + 0.5 * np.eye(model.pose.dim, k=1)
+    time = Curve(model.time.times, model.time.values @ np.linalg.inv(turn))
+    other = replace(model, pose=PoseMap(model.pose.offset, turn @ model.pose.matrix), time=time)
+    first, second = (pose(each, [Handle(0.2, target, TIP)], keep=BASE) for each in (model, other))
     assert np.abs(first(0.2) - second(0.2)).max() < 1e-5 * first.space.scale
 
 
@@ -168,6 +173,19 @@ def test_a_change_fades_and_kept_vertices_stay_on_their_paths() -> None:
     assert kept.max() < 2e-3 * model.space.scale
     loose = pose(model, [Handle(TIME, lifted_target(), TIP)], fade=0.2, move_bodies=True)
     assert np.linalg.norm(loose(TIME)[0] - model(TIME)[0]) > 3 * kept.max()
+
+
+@pytest.mark.parametrize(("keep", "exact", "slack"), [([], False, 1e-4), ([], True, 5e-3), ([0, 5], False, 1e-2)])
+def test_a_dragged_pose_is_that_of_its_last_target(keep: list[int], exact: bool, slack: float) -> None:
+    """But for smooth displacements of the pose before, and for kept vertices, which `pose` solves for once more."""
+    model, before = chain(), chain()(TIME)
+    dragged = DraggedPose(model, [Handle(TIME, before[TIP], TIP)], keep, exact)
+    for share in np.linspace(0.1, 1.0, 10):
+        points = dragged.points((before[TIP] + share * (lifted_target() - before[TIP]))[None])
+    expected = pose(model, [Handle(TIME, lifted_target(), TIP)], keep=keep, fade=0.2, exact=exact)(TIME)
+    assert np.linalg.norm(points - expected, axis=1).max() < slack * model.space.scale
+    if not exact:
+        np.testing.assert_allclose(dragged.moved_model()(TIME), points, atol=1e-9)
 
 
 def test_exact_handles_arrive_at_all_times() -> None:

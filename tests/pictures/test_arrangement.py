@@ -123,6 +123,8 @@ def test_any_axis_may_point_up(axis: str, order: list[int]) -> None:
     found = arrange_meshes(scene, side_by_side=True)
     turned = points[:, order]
     moved = found.to_scene(0, sequence.points[0])
+    spun = found.turned(0, 40.0)
+    np.testing.assert_allclose(spun.to_mesh(0, spun.to_scene(0, points)[1]), points[1], atol=1e-5)
     assert moved.dtype == np.float32
     shift = moved - found.scale * turned
     np.testing.assert_allclose(shift - shift[0], 0, atol=1e-5)

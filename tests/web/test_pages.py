@@ -81,7 +81,7 @@ def test_pages_play_without_a_network(page: Page, shot: bytes, name: str, keep: 
 @pytest.fixture(scope="module")
 def herd(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Two bodies, one of them thrice as wide."""
-    path, thin = tmp_path_factory.mktemp("herd") / "herd.glb", mixseq.fit(bar(5, 8, 4), pose="keys", exact=True)
+    path, thin = tmp_path_factory.mktemp("herd") / "herd.glb", mixseq.fit(bar(5, 8, 4), exact=True)
     keys = key_poses(thin)
     wide = with_body(thin, keys.with_points(keys.points * [1.0, 3.0, 3.0]), "wide")
     mixseq.save(path, mixseq.compress(wide, max_error=1e-3), still="none")

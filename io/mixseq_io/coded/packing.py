@@ -12,7 +12,6 @@ import numpy as np
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.compression.bitstream.connectivity import encode_polygons
 from mixseq.compression.bitstream.corner_values import to_grid
-from mixseq.compression.bitstream.spatial_basis import encode_face_labels
 from mixseq.compression.encoder.uvs import encode_uvs
 from mixseq.errors import InvalidSequenceError
 from mixseq.sequence.header import SequenceHeader
@@ -30,8 +29,8 @@ def pack(coded: CompressedSequence) -> Container:
         for stream in (chunk.coefficients, chunk.residuals, *[chunk.inbetweens][:has_inbetweens])
     ]
     of_header = header_streams(coded.header, coded.parameters.uv_steps)
-    if coded.parts is not None:
-        of_header.append(encode_face_labels(coded.parts, coded.header.faces))
+    if coded.labels is not None:
+        of_header.append(coded.labels.data)
     streams = [*of_header, *coded.basis, *chunk_streams]
     counts = [chunk.count for chunk in coded.chunks]
     lengths = pack_leb128([len(coded.basis), len(counts), *counts, *map(len, streams)])
@@ -61,8 +60,8 @@ def header_streams(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
 def facts_json(coded: CompressedSequence) -> bytes:
     """Return the text of a compressed sequence."""
     header, parameters = coded.header, asdict(coded.parameters)
-    if coded.parts is not None:
-        parameters[LABEL_COUNT] = int(coded.parts.max()) + 1
+    if coded.labels is not None:
+        parameters[LABEL_COUNT] = coded.labels.count
     facts = {
         "coding": {name: value for name, value in parameters.items() if value not in ((), None)},
         "name": header.name,

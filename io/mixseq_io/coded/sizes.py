@@ -11,7 +11,6 @@ from io import BytesIO
 from typing import Any, NamedTuple
 
 import h5py
-import numpy as np
 
 from mixseq.choices import OrderName, StillName
 from mixseq.compression.bitstream.compressed_sequence import (
@@ -20,7 +19,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
     CompressedSequence,
     TemporalInterpolation,
 )
-from mixseq.compression.bitstream.spatial_basis import part_groups
+from mixseq.compression.bitstream.spatial_basis import FaceLabels, part_groups
 from mixseq.compression.encoder.compress import compress
 from mixseq.compression.encoder.trial import DEFAULT_CHUNK_FRAMES, chunk_ranges
 from mixseq.compression.encoder.uvs import UV_ERROR, with_quantised_uvs
@@ -156,5 +155,5 @@ def _pack_without_signals(
         between=TemporalInterpolation(10 + _LONGEST_FRACTION, (_LONGEST_FRACTION,) * 2),
     )
     streams = pack(coded).streams + bytes(_INDEX_ENTRY_BYTES * (1 + len(coded.basis) + 3 * len(coded.chunks)))
-    with_parts = replace(coded, parts=np.arange(len(header.faces)) % len(_RANK_OF_PARTS))
+    with_parts = replace(coded, labels=FaceLabels(len(_RANK_OF_PARTS), b""))
     return Container(facts_json(with_parts), streams)

@@ -39,7 +39,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
 )
 from mixseq.compression.bitstream.connectivity import decode_polygons
 from mixseq.compression.bitstream.corner_values import decode_hard_edges, decode_uvs, encode_hard_edges
-from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, decode_face_labels
+from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, FaceLabels
 from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
@@ -418,11 +418,11 @@ def read_sequence(path: Path, container: Container) -> CompressedSequence:
     header = replace(
         header, provenance=replace(provenance, events=describe_cuts(between.cuts if between else (), header))
     )
-    parts = _face_labels(path, facts["coding"].get(LABEL_COUNT), header_data.get("labels", b""), header)
+    labels = _face_labels(path, facts["coding"].get(LABEL_COUNT), header_data.get("labels", b""))
     bodies = tuple(read_sequence(path, each) for each in container.bodies)
     relation = _relation(path, facts)
     try:
-        return CompressedSequence(header, parameters, basis, chunks, order, between, parts, bodies, relation)
+        return CompressedSequence(header, parameters, basis, chunks, order, between, labels, bodies, relation)
     except SettingsError as error:
         raise FormatError(f"{path}: {error}; it is damaged") from error
 
@@ -439,16 +439,13 @@ def _relation(path: Path, facts: Mapping[str, Any]) -> Relation:
     raise FormatError(f"{path}: relation is {facts['relation']!r}; a quaternion is expected; it is damaged")
 
 
-def _face_labels(path: Path, count: object, data: bytes, header: SequenceHeader) -> Index | None:
-    """Decode the part ``(F,)`` of every triangle; None if the file has none."""
+def _face_labels(path: Path, count: object, data: bytes) -> FaceLabels | None:
+    """Return the coded parts of triangles; None if the file has none."""
     if count is None:
         return None
     if not (type(count) is int and 0 < count <= MAX_PARTS):
         raise FormatError(f"{path}: {LABEL_COUNT} is {count!r}; a whole number from 1 to {MAX_PARTS} is expected")
-    try:
-        return decode_face_labels(data, count, header.faces)
-    except FormatError as error:
-        raise FormatError(f"{path}: the labels of parts: {error}") from error
+    return FaceLabels(count, data)
 
 
 def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:

@@ -21,7 +21,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
     decode,
 )
 from mixseq.compression.bitstream.signal_graph import mesh_graph
-from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, encode_face_labels
+from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, FaceLabels, encode_face_labels
 from mixseq.compression.encoder.inbetweens import add_inbetweens
 from mixseq.compression.encoder.search import MAX_ROUNDS, Search
 from mixseq.compression.encoder.trial import DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRAMES, residual_unit
@@ -47,7 +47,6 @@ from mixseq.sequence.sequence import (
 )
 from mixseq.signals.model import Model
 from mixseq.spaces.making import MixedSettings, segment_faces
-from mixseq.types import Index
 
 
 @public
@@ -168,14 +167,14 @@ def compress(
         unit = frames.diagonal or 1.0
         labels = _segment(frames, parts)
         if size is not None and labels is not None:
-            size -= len(encode_face_labels(labels, header.faces))
-        coded = _search_streams(frames, stages, chunk, unit, max_error, kg, size)
+            size -= len(labels.data)
+        coded = replace(_search_streams(frames, stages, chunk, unit, max_error, kg, size), labels=labels)
         stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
         events = find_events(frames.points, header.times, Topology(header.faces, header.vertex_count))
         whole = events.with_cuts(cuts, header).whole
         playback = decode(coded, tuple(k + 1 for k in sorted({*whole.cuts, *whole.pops})))
         parameters = _measure_errors(frames, playback, coded.parameters, max_error, kg)
-        coded = replace(coded, parameters=parameters, between=playback.between, order=order, parts=labels)
+        coded = replace(coded, parameters=parameters, between=playback.between, order=order)
         if inbetweens:
             coded = add_inbetweens(coded, playback, size, between_frames, stages.at(2 + MAX_ROUNDS))
     parameters = coded.parameters
@@ -188,13 +187,13 @@ def compress(
     return replace(coded, header=header, parameters=parameters)
 
 
-def _segment(frames: FrameStore, parts: int | ArrayLike | None) -> Index | None:
-    """Return the part ``(F,)`` of every triangle; None if there are too many parts to be stored."""
+def _segment(frames: FrameStore, parts: int | ArrayLike | None) -> FaceLabels | None:
+    """Return the parts of triangles; None if there are too many to be stored."""
     topology = Topology(frames.header.faces, frames.header.vertex_count)
     labels = segment_faces(frames, MixedSettings(parts=parts), topology)
     count = int(labels.max()) + 1
     if count <= MAX_PARTS:
-        return labels
+        return encode_face_labels(labels, topology.faces)
     if parts is not None:
         warnings.warn(
             f"{frames.header.name!r}: there are {count} parts; {MAX_PARTS} can be stored, so decoders find parts again",

@@ -152,7 +152,7 @@ class Click(ClientMessage, tag="SceneNodeClickMessage"):
 
 
 class Drag(ClientMessage, tag="SceneNodeDragMessage"):
-    """Drag of a mesh."""
+    """Drag of a mesh: where it began, and where the pointer is."""
 
     phase: Literal["start", "update", "end"]
     name: Text
@@ -161,7 +161,7 @@ class Drag(ClientMessage, tag="SceneNodeDragMessage"):
     start_screen_pos: Pair
     end_position: Triple
     end_screen_pos: Pair
-    button: Literal["left", "middle", "right"]
+    button: Literal["left"]
     modifier: Text | None = None
     owner: Text = ""
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import zip_longest
 from math import remainder
 from threading import Lock
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -20,12 +22,31 @@ from mixseq.viewer.playback import Moment
 GROUND_COLOUR = (243, 243, 240)
 GRID_COLOUR = (222, 222, 218)
 PICK_COLOUR = (20, 20, 20)
+Colour = tuple[int, int, int]
 
 ROW_STEP_DEGREES = 2.0
 """Rotation of the camera beyond which meshes are moved to stay side by side."""
 
+GRAB_RADIUS = 0.06 * SCENE_SIZE
+"""Distance from a ball within which a drag of the mesh moves the ball, in scene units."""
+
 GRID_CELL = SCENE_SIZE / 2
 """Cell size of the ground's grid, in scene units."""
+
+
+ARRIVAL_SECONDS = 5.0
+"""Time after which a page has the camera that was sent; before, it may report its own or half of the sent one."""
+
+
+@dataclass(eq=False)
+class _SentCamera:
+    """The camera that was sent to a page."""
+
+    position: Float
+    target: Float
+    aspect: float  # width/height of the picture
+    time: float  # when it was sent, in seconds
+    is_there: bool = False  # whether the page has it; what it reports afterwards are movements of the user
 
 
 class LiveStage:
@@ -44,7 +65,7 @@ class LiveStage:
         self._lock = Lock()
         self.is_busy = False  # whether a page is still drawing the last moment
         self._moment: Moment | None = None
-        self._client_views: dict[int, tuple[Float, float]] = {}
+        self._sent_cameras: dict[int, _SentCamera] = {}  # by page
         self._colour = colours.names[0]
         self._sent_colourings: list[Colouring | None] = [None] * len(colours.scene.items)
         self._camera = settings.camera
@@ -53,14 +74,12 @@ class LiveStage:
         self._add_ground()
         self._meshes, self._colour_clouds, self._labels = [], [], []
         self._picked: tuple[int, int] | None = None  # indices of mesh and vertex
-        self._pick_ball = server.scene.add_icosphere(
-            "/picked",
-            radius=0.012 * SCENE_SIZE,
-            color=PICK_COLOUR,
-            visible=False,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        self._pick_ball = self._add_ball("/picked", 0.012)
+        self._handles: tuple[int, Mapping[int, Colour]] = (0, {})  # index of a mesh, and colours by vertex
+        self._handle_balls: list[Any] = []
+        self._grabs: dict[int, tuple[int, Float]] = {}  # by page: dragged vertex, and its offset from the pointer
+        self._on_drag: Callable[[int, int, Float], None] | None = None
+        self._drags = [self._drag_callback(index, None) for index in range(len(colours.scene.items))]
         for index, item in enumerate(colours.scene.items):
             offset = self._arrangement.offsets[index]
             points = self._arrangement.to_local(index, item.pose(0.0))
@@ -110,7 +129,7 @@ class LiveStage:
                     entries = colours.entries(points, elapsed)
                     self._colour_clouds[index].colors = srgb_to_linear(colours.palette)[entries]
                     self._sent_colourings[index] = colours
-            self._place_pick_ball()
+            self._place_balls()
             self._on_show(moment)
 
     def _local_points(self, arrangement: Arrangement, index: int, points: Single) -> tuple[Single, Float]:
@@ -121,12 +140,21 @@ class LiveStage:
         shift = (local.mean(axis=0, dtype=np.float64) - arrangement.boxes[index].mean(axis=0)) * [1, 0, 1]
         return np.asarray(local - shift, dtype=np.float32), shift
 
-    def _place_pick_ball(self) -> None:
-        """Move the ball to the picked vertex."""
-        if self._picked is not None and self._moment is not None:
-            index, vertex = self._picked
-            local, _ = self._local_points(self._arrangement, index, self._moment.poses[index])
-            self._pick_ball.position = self._arrangement.place(index, local[[vertex]])[0]
+    def _place_balls(self) -> None:
+        """Move the balls to the picked vertex and to those of handles."""
+        index, colours = self._handles
+        balls = [(index, vertex, ball) for vertex, ball in zip(colours, self._handle_balls, strict=False)]
+        balls += [(*self._picked, self._pick_ball)] if self._picked is not None else []
+        if self._moment is None or not balls:
+            return
+        placed = {index: self._placed_points(self._arrangement, index, self._moment)[0] for index, _, _ in balls}
+        for index, vertex, ball in balls:
+            ball.position = placed[index][vertex]
+
+    def _placed_points(self, arrangement: Arrangement, index: int, moment: Moment) -> tuple[Single, Float]:
+        """Return a mesh ``(V, 3)`` in the scene, and the displacement ``(3,)`` removed there to follow the mesh."""
+        local, shift = self._local_points(arrangement, index, moment.poses[index])
+        return arrangement.place(index, local), arrangement.rotations[index] @ shift
 
     def set_colour(self, name: str) -> None:
         """Set the colouring of the moments shown from now on."""
@@ -161,7 +189,7 @@ class LiveStage:
                 mesh.position, mesh.wxyz = arrangement.offsets[index], quaternion(arrangement.turns[index])
             for label, position in zip(self._labels, arrangement.label_positions, strict=False):
                 label.position = position
-            self._place_pick_ball()
+            self._place_balls()
         self.on_rearrange(arrangement)
 
     @property
@@ -189,7 +217,10 @@ class LiveStage:
             mesh.wireframe = on
 
     def on_click(self, callback: Callable[[int, RayHit], None], mark: bool = True) -> None:
-        """Set the function called with a clicked mesh and the hit; if `mark` is true, mark the vertex with a ball."""
+        """Set the function called with a clicked mesh and the hit; if `mark` is true, mark the vertex with a ball.
+
+        While the mesh is dragged, only its handles are marked.
+        """
         for number, mesh in enumerate(self._meshes):
 
             @mesh.on_click  # type: ignore[untyped-decorator]
@@ -198,15 +229,15 @@ class LiveStage:
                     moment, arrangement = self._moment, self._arrangement
                 if moment is None:
                     return
-                points = arrangement.place(index, self._local_points(arrangement, index, moment.poses[index])[0])
+                points, _ = self._placed_points(arrangement, index, moment)
                 hit = intersect_ray(
                     points, moment.scene.items[index].header.faces, event.ray_origin, event.ray_direction
                 )
                 if hit is not None:
-                    if mark:
+                    if mark and self._on_drag is None:
                         with self._lock:
                             self._picked = index, hit.vertex
-                            self._place_pick_ball()
+                            self._place_balls()
                             self._pick_ball.visible = True
                     callback(index, hit)
 
@@ -222,6 +253,65 @@ class LiveStage:
                 start = self.arrangement.turns[index], place
             elif not self.overlaid:
                 self.turn(index, start[0] - 360 * (place - start[1]))
+
+    def _add_ball(self, name: str, radius: float) -> Any:
+        return self._server.scene.add_icosphere(
+            name,
+            radius=radius * SCENE_SIZE,
+            color=PICK_COLOUR,
+            visible=False,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def set_handles(self, index: int, colours: Mapping[int, Colour], on_click: Callable[[int], None]) -> None:
+        """Mark vertices of a mesh with balls, in colours by vertex, and set the function called with a clicked one."""
+        with self._lock, self._server.atomic():
+            self._handles = index, dict(colours)
+            while len(self._handle_balls) < len(colours):
+                number = len(self._handle_balls)
+                ball = self._add_ball(f"/handle/{number}", 0.018)
+                ball.on_click(lambda _, number=number: on_click(list(self._handles[1])[number]))
+                ball.on_drag(self._drag_callback(None, number))
+                self._handle_balls.append(ball)
+            for ball, colour in zip_longest(self._handle_balls, colours.values()):
+                ball.visible, ball.color = colour is not None, colour or PICK_COLOUR
+            self._place_balls()
+
+    def set_dragging(self, callback: Callable[[int, int, Float], None] | None) -> None:
+        """Set the function called with a dragged mesh, a vertex and its target ``(3,)``; None to turn the camera."""
+        self._on_drag, self._picked, self._pick_ball.visible = callback, None, False
+        for mesh, drag in zip(self._meshes, self._drags, strict=True):
+            mesh.remove_drag_callback(drag)
+            if callback is not None:
+                mesh.on_drag(drag)
+
+    def _drag_callback(self, mesh: int | None, number: int | None) -> Callable[[Any], Any]:
+        """Return the callback of a mesh, whose vertex nearest to the pointer is dragged, or of a ball."""
+
+        async def drag(event: Any) -> None:  # in order: on the event loop
+            index = self._handles[0] if mesh is None else mesh
+            with self._lock:
+                moment, arrangement = self._moment, self._arrangement
+                handles = list(self._handles[1]) if index == self._handles[0] else []
+            if moment is None or self._on_drag is None:
+                return
+            if event.phase == "start":
+                points, shift = self._placed_points(arrangement, index, moment)
+                place = np.array(event.start_position)
+                distances = np.linalg.norm(points - place, axis=1)
+                vertex = int(distances.argmin()) if number is None else handles[number]
+                nearest = min(handles, key=lambda each: distances[each], default=vertex)
+                if number is None and distances[nearest] < GRAB_RADIUS:
+                    vertex = nearest
+                self._grabs[event.client_id] = vertex, points[vertex] - place + shift
+            if event.client_id in self._grabs:
+                vertex, offset = self._grabs[event.client_id]
+                self._on_drag(index, vertex, arrangement.to_mesh(index, np.array(event.end_position) + offset))
+            if event.phase == "end":
+                self._grabs.pop(event.client_id, None)
+
+        return drag
 
     def _add_ground(self) -> None:
         scene = self._server.scene
@@ -249,29 +339,34 @@ class LiveStage:
 
         @client.camera.on_update  # type: ignore[untyped-decorator]
         def _(camera: Any) -> None:
-            # A page connects before its panels dock, which changes the aspect ratio of the viewport.
-            if client.client_id not in self._client_views:
+            sent = self._sent_cameras.get(client.client_id)
+            if sent is None:
                 return
-            position, aspect = self._client_views[client.client_id]
-            initial = self._server.initial_camera.position  # the page may report it late
-            is_unmoved = any(np.allclose(camera.position, known, rtol=1e-3, atol=1e-3) for known in (position, initial))
-            if is_unmoved and abs(camera.aspect / aspect - 1) > 0.02:
+            sent.is_there |= monotonic() > sent.time + ARRIVAL_SECONDS
+            is_unmoved = all(
+                np.allclose(seen, known, rtol=1e-3, atol=1e-3)
+                for seen, known in ((camera.position, sent.position), (camera.look_at, sent.target))
+            )
+            # A page connects before its panels dock, which changes the aspect ratio of the viewport.
+            if (is_unmoved or not sent.is_there) and abs(camera.aspect / sent.aspect - 1) > 0.02:
                 self._update_camera(client)
-            elif not self.overlaid:
+            elif is_unmoved:
+                sent.is_there = True
+            elif sent.is_there and not self.overlaid:
                 self._follow_camera(camera)
 
         self._update_camera(client)
 
     def remove_client(self, client: Any) -> None:
         """Remove the state of a closed page."""
-        self._client_views.pop(client.client_id, None)
+        self._sent_cameras.pop(client.client_id, None)
 
     def _update_camera(self, client: Any) -> None:
         aspect = client.camera.aspect  # width/height
         if len(self._meshes) > 1 and not self.overlaid:
             self._rearrange(lambda arrangement: arrangement.fitted(1 / aspect))
         position, centre = self.arrangement.camera(1 / aspect)
-        self._client_views[client.client_id] = position, aspect
+        self._sent_cameras[client.client_id] = _SentCamera(position, centre, aspect, monotonic())
         with client.atomic():
             client.camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
             client.camera.position = position  # viser also moves the target
