@@ -64,7 +64,7 @@ def rows(transferred: Transfer, report: TransferReport, verdict: Verdict) -> lis
     """Return the report of a transfer as table rows."""
     from mixseq.sequence.sequence import bounding_diagonal
 
-    header, parts = transferred.header, _part_counts(transferred)
+    header, parts, turned = transferred.header, _part_counts(transferred), transferred.turned
     diagonal = bounding_diagonal(transferred.target) * header.metres_per_unit
     by = ", ".join(_number(count, what[:-1]) for what, count in parts.items()) or "deformation gradients"
     frames = _number(header.frame_count, "frame")
@@ -72,7 +72,7 @@ def rows(transferred: Transfer, report: TransferReport, verdict: Verdict) -> lis
     return [
         ("verdict", verdict.text),
         ("transferred", f"{frames} to {header.vertex_count:,} vertices, by {by}"),
-        *([("rest pose", _turned(transferred.turned))] if transferred.turned else []),
+        *([("rest pose", f"limbs turned by up to {turned:.0f} degrees into the source's")] if turned else []),
         *_coverage_rows(report.coverage),
         *([] if transferred.quality is None else _quality_rows(transferred.quality, diagonal)),
         *([] if transferred.proposal is None else [("proposed", _proposed(transferred.proposal))]),
@@ -83,10 +83,6 @@ def rows(transferred: Transfer, report: TransferReport, verdict: Verdict) -> lis
         *([("flat", _triangles(report.flat, header))] if report.flat.worst else []),
         *_contact_rows(transferred.contacts, diagonal),
     ]
-
-
-def _turned(degrees: float) -> str:
-    return f"limbs of the target are turned by up to {degrees:.0f} degrees into the source's"
 
 
 def _part_counts(transferred: Transfer) -> dict[str, int]:

@@ -158,37 +158,39 @@ class MixedTransfer(PickledWithoutCaches):
         offsets = self.joint_solver.skinning_offsets(*deformed_poses, deformed)
         return self._solve_joints(poses, part_vertices, lengths, angles, offsets)
 
-    def turned_to_source(self) -> tuple[Float, float]:
-        """Turn limbs of the target at rest into the directions of the source's, and return the largest turn.
+    @cached_property
+    def limb_turns(self) -> tuple[Float, Float]:
+        """Rotations ``(p, 3, 3)`` of parts at rest into the directions of the source's, and turns ``(p,)`` in degrees.
 
-        Shapes of parts, and lengths and angles of joints, stay: points ``(V', 3)``; degrees.
+        A part turns with its parent, and at its pivot if its direction differs much: the turn, else zero.
         """
-        body, source_body, matched = self.body, self.source_body, self.gradients.correspondence.matched
-        carried = self.gradients.correspondence.interpolate(self.gradients.source.reference)
-        trunk = self.parts.target.parts[body.root]
-        trunk = trunk[matched[trunk]]
+        body, source_body, parts = self.body, self.source_body, self.parts.target.parts
+        matched = [part[self.gradients.correspondence.matched[part]] for part in parts]
+        carried, trunk = self.gradients.correspondence.interpolate(self.gradients.source.reference), matched[body.root]
         turn_of_trunk = fit_alignment(carried[trunk], self._rest[trunk], np.ones(len(trunk))).rotation
-        rotations, largest = np.tile(np.eye(3), (len(body.centres), 1, 1)), 0.0
+        rotations, degrees = np.tile(np.eye(3), (len(parts), 1, 1)), np.zeros(len(parts))
         for part, (parent, pivot) in body.parents.items():
-            vertices = self.parts.target.parts[part]
-            vertices = vertices[matched[vertices]]
             rotations[part] = rotations[parent]
-            if not len(vertices):
+            if not len(matched[part]):
                 continue
-            arms = self._rest[vertices] - body.pivots[pivot]
+            arms = self._rest[matched[part]] - body.pivots[pivot]
             arm = arms.mean(axis=0)
-            goal = turn_of_trunk @ (carried[vertices].mean(axis=0) - source_body.pivots[pivot])
+            goal = turn_of_trunk @ (carried[matched[part]].mean(axis=0) - source_body.pivots[pivot])
             turn = _turn_between(rotations[parent] @ arm, goal)
             is_long = np.linalg.norm(arm) > np.linalg.norm(arms - arm, axis=1).mean()  # others have no direction
             if is_long and np.linalg.norm(turn) > MIN_LIMB_TURN:
                 rotations[part] = rotvec_to_matrix(turn) @ rotations[parent]
-                largest = max(largest, float(np.degrees(np.linalg.norm(turn))))
+                degrees[part] = np.degrees(np.linalg.norm(turn))
+        return rotations, degrees
+
+    def turned_to_source(self) -> Float:
+        """Return the target ``(V', 3)`` at rest after `limb_turns`, with its shapes of parts and metrics of joints."""
+        body, solver, rotations = self.body, self.joint_solver, self.limb_turns[0]
         gaps = np.zeros_like(body.pivots)
         poses = PartPoses(rotations, self._pivot_solver.solve_centres(rotations, gaps, body.centres[body.root]))
-        solver = self.joint_solver
         angles = dihedral_angles(self._rest, self.gradients.target.topology.hinges[solver.joints.hinge_ids])
         offsets = np.zeros((len(solver.joints.vertices), 3))
-        return self._solve_joints(poses, self.rest_shapes.shapes, self._rest_lengths, angles, offsets), largest
+        return self._solve_joints(poses, self.rest_shapes.shapes, self._rest_lengths, angles, offsets)
 
     def _solve_joints(
         self, poses: PartPoses, part_vertices: Float, lengths: Float, angles: Float, offsets: Float

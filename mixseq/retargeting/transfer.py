@@ -149,10 +149,10 @@ def plan_transfer(
         shell = settings.shell or ShellSettings()
         mixed = mixed_transfer(gradients, source.points, source.part_of_face(), settings.joint_width, shell)
         if poses.residual > MIN_POSE_DIFFERENCE:
-            posed, largest_turn = mixed.turned_to_source()
+            posed = mixed.turned_to_source()
             residual = compare_rest_poses(source, posed, correspondence).residual
             if residual < min(MAX_TURNED_RATIO * poses.residual, poses.frame_residual):
-                rest, turned = posed, largest_turn
+                rest, turned = posed, float(mixed.limb_turns[1].max())
                 gradients = gradient_transfer(source.topology, source.rest, topology, rest, correspondence)
                 mixed = replace(mixed, gradients=gradients)
             else:
