@@ -11,12 +11,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, Playback, decode
-from mixseq.errors import SettingsError
 from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.sequence.events import CutChoice
@@ -29,13 +28,6 @@ from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
 from mixseq.types import Float, Index
-
-
-class Streams(NamedTuple):
-    """The decoded streams of a body."""
-
-    playback: Playback
-    relation: Relation = SAME_BODY  # to the first body
 
 
 def _signal(name: str) -> Any:
@@ -55,8 +47,7 @@ class CompressedModel(Model):
     """
 
     playback: Playback
-    _streams: Sequence[Streams]  # of all bodies, the same object for each of them in front
-    _index: int  # the body in front
+    _playbacks: Sequence[Playback]  # of all bodies, the same object for each of them in front
     _fitted: Model | None
     _lock: threading.Lock
 
@@ -74,19 +65,20 @@ class CompressedModel(Model):
     @classmethod
     def from_sequence(cls, coded: CompressedSequence) -> CompressedModel:
         """Decode the streams of a compressed sequence."""
-        return cls.from_streams([Streams(decode(each), each.relation) for each in coded.all_bodies])
+        return cls.from_playbacks([decode(each) for each in coded.all_bodies])
 
     @classmethod
-    def from_streams(cls, streams: Sequence[Streams], index: int = 0, fitted: Model | None = None) -> CompressedModel:
+    def from_playbacks(
+        cls, playbacks: Sequence[Playback], index: int = 0, fitted: Model | None = None
+    ) -> CompressedModel:
         """Make the model of the decoded streams of all bodies, with one of them in front."""
         model: CompressedModel = object.__new__(cls)
-        playback = streams[index].playback
-        facts = {"header": playback.header, "playback": playback, "_streams": streams, "_index": index}
+        facts = {"header": playbacks[index].header, "playback": playbacks[index], "_playbacks": playbacks}
         model.__dict__.update(facts, _fitted=fitted, _lock=threading.Lock())
         return model
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return CompressedModel.from_streams, (self._streams, self._index, self._fitted)
+        return CompressedModel.from_playbacks, (self._playbacks, self._playbacks.index(self.playback), self._fitted)
 
     def __repr__(self) -> str:
         bodies = f", bodies {', '.join(self.body_names)}" if self._others else ""
@@ -94,32 +86,26 @@ class CompressedModel(Model):
         return f"CompressedModel({self.header.name!r}: {frames})"
 
     @property
-    def _others(self) -> list[Streams]:
-        return [each for index, each in enumerate(self._streams) if index != self._index]
+    def _others(self) -> list[Playback]:
+        return [each for each in self._playbacks if each is not self.playback]
 
     @property
     def body_names(self) -> tuple[str, ...]:
         """`Model.body_names`."""
-        return self.header.name, *(each.playback.header.name for each in self._others)
+        return self.header.name, *(each.header.name for each in self._others)
 
-    def body(self, name: str) -> CompressedModel:
-        """Implement `Model.body` without a fit."""
-        names = [each.playback.header.name for each in self._streams]
-        if name not in names:
-            raise SettingsError(f"there is no body {name!r}; bodies are {', '.join(map(repr, self.body_names))}")
-        index = names.index(name)
-        return self if index == self._index else self.from_streams(self._streams, index)
+    def _with_body(self, name: str) -> CompressedModel:
+        return self.from_playbacks(self._playbacks, [each.header.name for each in self._playbacks].index(name))
 
     @property
     def relations(self) -> tuple[Relation, ...]:
         """`Model.relations`."""
-        front = self._streams[self._index].relation
-        return SAME_BODY, *(each.relation.relative_to(front) for each in self._others)
+        return SAME_BODY, *(each.relation.relative_to(self.playback.relation) for each in self._others)
 
     @property
     def signals_id(self) -> int:
         """`Model.signals_id`."""
-        return id(self._streams)
+        return id(self._playbacks)
 
     @property
     def bodies(self) -> tuple[Body, ...]:
@@ -130,7 +116,7 @@ class CompressedModel(Model):
                 from mixseq.signals.shape_exchange import key_times, make_body
 
                 times, bodies = key_times(fitted), []
-                for (playback, _), relation in zip(self._others, self.relations[1:], strict=True):
+                for playback, relation in zip(self._others, self.relations[1:], strict=True):
                     header = playback.header.with_times(np.arange(len(times)), 1.0)
                     keys = MeshSequence.from_header(header, playback.decode_points(times))
                     parts, turn = playback.parts if relation.same_parts else None, np.array(relation.turn)

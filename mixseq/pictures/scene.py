@@ -142,6 +142,13 @@ def to_y_up(points: FloatArray, up_axis: str) -> Float:
     return np.asarray(points[..., [(up - 1) % 3, up, (up + 1) % 3]], dtype=np.float64)
 
 
+def heading_between(source: Float, target: Float) -> float:
+    """Return the best-fit rotation in degrees about the vertical from points ``(n, 3)`` to others, 0 if undefined."""
+    a, b = ((x - x.mean(axis=0))[:, [0, 2]] for x in (source, target))
+    cosine, sine = float((a * b).sum()), float((a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]).sum())
+    return float(np.degrees(np.arctan2(sine, cosine)))
+
+
 MAX_FRAMES = 100_000
 """Largest number of frames of a film, to catch wrong frame rates and durations."""
 

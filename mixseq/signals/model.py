@@ -148,6 +148,10 @@ class Model(Decodable, PickledWithoutCaches):
             return self
         if name not in self.body_names:
             raise SettingsError(f"there is no body {name!r}; bodies are {', '.join(map(repr, self.body_names))}")
+        return self._with_body(name)
+
+    def _with_body(self, name: str) -> Model:
+        """Return the model with one of its further bodies in front."""
         chosen = self.bodies[self.body_names.index(name) - 1]
         turns = np.tile(np.eye(3), (self.space.correction_dim // 6, 1, 1))
         turn, shifts = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros((self.space.centre_count, 3))

@@ -122,7 +122,10 @@ def test_names_that_are_no_files_are_refused(run: Run, folder: Path, herd: Model
     assert "the body 'a/b' has no name for a file; decode it with --body" in result.stderr
 
 
-def test_a_page_shows_all_bodies(run: Run, stored: Path, herd: Model) -> None:
+@pytest.mark.parametrize("is_compressed", [False, True])
+def test_a_page_shows_all_bodies(run: Run, stored: Path, herd: Model, is_compressed: bool) -> None:
+    if is_compressed:
+        mixseq.save("herd.h5", mixseq.compress(herd, max_error=0.01))
     result = run("view", "herd.h5", "--export", "herd.html")
     assert result.exit_code == 0, result.stderr
     items = Opened(Path("herd.html")).items

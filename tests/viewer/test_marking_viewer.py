@@ -46,6 +46,12 @@ PLACE = """([side, vertex]) => {
 """Where a vertex is on the page."""
 
 
+UNNAMED = """() => [...document.querySelectorAll("button, canvas, input:not([type=hidden])")].filter((each) =>
+  each.offsetWidth && !each.getAttribute("aria-label") && !each.textContent.trim() && !each.labels?.length
+).map((each) => each.outerHTML)"""
+"""Controls on the page that screen readers have no name for."""
+
+
 class Hand:
     """A page with the viewer, and a hand."""
 
@@ -266,7 +272,8 @@ def test_meshes_are_stacked_on_a_phone(hand: Hand, running: MarkingViewer, watch
     phone.wait_for_function(
         "() => window.__viserMutable?.nodeRefFromName?.['/mesh/1'] && document.getElementById('mixseq-hint')"
     )
-    hand.see_left()
+    eventually(lambda: len(running._stage._sent_cameras) == 2)
+    hand.button("Back")
     eventually(lambda: running._stage.arrangement.is_stacked)
     ends: list[Float] = []
 
@@ -285,4 +292,6 @@ def test_meshes_are_stacked_on_a_phone(hand: Hand, running: MarkingViewer, watch
         box = button.bounding_box()
         if box is not None and button.inner_text():
             assert box["height"] >= 40, button.inner_text()
+    phone.wait_for_timeout(1500)  # until they are named
+    assert phone.evaluate(UNNAMED) == []
     phone.close()

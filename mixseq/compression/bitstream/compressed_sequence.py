@@ -269,6 +269,7 @@ class Playback(Decodable, PickledWithoutCaches):
     origin: tuple[float, ...] = ()  # origin (x, y, z) of positions; empty if it is zero
     parts_basis: SpatialBasis | None = None  # affine basis of in-betweens; None if it is the spatial basis
     labels: FaceLabels | None = None  # parts of triangles
+    relation: Relation = SAME_BODY  # of a further body to the first
 
     @cached_property
     def parts(self) -> Index | None:
@@ -385,7 +386,8 @@ def decode(coded: CompressedSequence, cuts: tuple[int, ...] = ()) -> Playback:
         operator = select_operator(header.times[first:end], longest.reshape(len(longest), -1))
         between = TemporalInterpolation(operator.length_scale, operator.cubic_shares, cuts)
     origin = coded.parameters.origin
-    return Playback(header, basis, coefficients, between, residual_layer, inbetweens, origin, parts_basis, coded.labels)
+    optional = inbetweens, origin, parts_basis, coded.labels, coded.relation
+    return Playback(header, basis, coefficients, between, residual_layer, *optional)
 
 
 def parts_basis_of(coded: CompressedSequence, basis: SpatialBasis, coefficients: Float) -> SpatialBasis:

@@ -28,7 +28,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
     parts_basis_of,
 )
 from mixseq.compression.bitstream.signal_coder import Signal
-from mixseq.compression.compressed_model import CompressedModel, Streams
+from mixseq.compression.compressed_model import CompressedModel
 from mixseq.compression.encoder.components import solve_damped
 from mixseq.compression.encoder.trial import code_coefficients, round_coefficients
 from mixseq.errors import MixseqError, MixseqWarning, SettingsError
@@ -77,7 +77,7 @@ def add_inbetweens(
     max_bytes = MAX_SIZE_RATIO * bytes_at_frames if size is None else size - bytes_at_frames
     max_bytes, max_error_ratio = (np.inf, np.inf) if between else (max_bytes, MAX_ERROR_RATIO)
     try:
-        model = CompressedModel.from_streams([Streams(playback)]).fit(progress)
+        model = CompressedModel.from_playbacks([playback]).fit(progress)
     except MixseqError as error:
         if between:
             raise

@@ -158,12 +158,6 @@ def _text_line(text: str, name: str) -> str:
     return f'<div id="{name}" style="padding: 0 12px; font-size: 12px; opacity: 0.75">{escape(text)}</div>'
 
 
-def _icon(name: str) -> Any:
-    from viser import Icon
-
-    return getattr(Icon, name)
-
-
 def notify(client: Any, title: str, text: str, is_success: bool = False) -> None:
     """Show a notification on a page for a few seconds."""
     client.add_notification(title, text, auto_close_seconds=6.0, color="teal" if is_success else "red")
@@ -183,9 +177,13 @@ class SaveControls:
         self._folder = folder
         self._save = save
         with gui.add_folder("Save"):
-            self._name = gui.add_text("File", name, hint=f"A model (.h5), or a sequence in any format, in {folder}")
+            self._name = gui.add_text(
+                "File",
+                name,
+                hint=f"A model (.h5), a sequence in any format, or a script of the edits (.toml), in {folder}",
+            )
             self._replace = gui.add_checkbox("Replace", False, hint="Replace an existing file")
-            self._button = gui.add_button("Save", icon=_icon("DEVICE_FLOPPY"))
+            self._button = gui.add_button("Save")
         self._button.on_click(self._clicked)
 
     def set_name(self, name: str) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.pictures.colours import SceneColours
-from mixseq.pictures.scene import SCENE_SIZE, Arrangement, Scene, SceneItem, resolve_view
+from mixseq.pictures.scene import SCENE_SIZE, Arrangement, Scene, SceneItem, heading_between, resolve_view
 from mixseq.retargeting.correspond import MIN_EXAMINED_MARKERS, Examination
 from mixseq.retargeting.markers import Markers
 from mixseq.sequence.sequence import MeshSequence, load_frames
@@ -177,10 +177,7 @@ class MarkingStage:
         """Return the turn of the target in degrees that aligns it with the source by pairs ``(n, 2)``, or 0 for few."""
         if len(pairs) < MIN_ALIGNED_PAIRS:
             return 0.0
-        source, target = (self._surfaces[side][0][pairs[:, side]][:, [0, 2]] for side in (SOURCE, TARGET))
-        source, target = source - source.mean(axis=0), target - target.mean(axis=0)
-        cosine, sine = (source * target).sum(), (source[:, 0] * target[:, 1] - source[:, 1] * target[:, 0]).sum()
-        return float(np.degrees(np.arctan2(-sine, cosine)))
+        return heading_between(*(self._surfaces[side][0][pairs[:, side]] for side in (SOURCE, TARGET)))
 
     def positions(self, side: int, vertices: Index) -> Float:
         """Return the positions ``(n, 3)`` of vertices in the scene."""

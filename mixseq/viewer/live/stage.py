@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from math import remainder
 from threading import Lock
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,21 @@ GRID_CELL = SCENE_SIZE / 2
 """Cell size of the ground's grid, in scene units."""
 
 
+ARRIVAL_SECONDS = 5.0
+"""Time after which a page has the camera that was sent; before, it may report its own or half of the sent one."""
+
+
+@dataclass(eq=False)
+class _SentCamera:
+    """The camera that was sent to a page."""
+
+    position: Float
+    target: Float
+    aspect: float  # width/height of the picture
+    time: float  # when it was sent, in seconds
+    is_there: bool = False  # whether the page has it; what it reports afterwards are movements of the user
+
+
 class LiveStage:
     """Meshes in the scene of a viser server, a `mixseq.viewer.playback.Stage`.
 
@@ -49,7 +65,7 @@ class LiveStage:
         self._lock = Lock()
         self.is_busy = False  # whether a page is still drawing the last moment
         self._moment: Moment | None = None
-        self._client_views: dict[int, tuple[Float, float]] = {}
+        self._sent_cameras: dict[int, _SentCamera] = {}  # by page
         self._colour = colours.names[0]
         self._sent_colourings: list[Colouring | None] = [None] * len(colours.scene.items)
         self._camera = settings.camera
@@ -323,29 +339,34 @@ class LiveStage:
 
         @client.camera.on_update  # type: ignore[untyped-decorator]
         def _(camera: Any) -> None:
-            # A page connects before its panels dock, which changes the aspect ratio of the viewport.
-            if client.client_id not in self._client_views:
+            sent = self._sent_cameras.get(client.client_id)
+            if sent is None:
                 return
-            position, aspect = self._client_views[client.client_id]
-            initial = self._server.initial_camera.position  # the page may report it late
-            is_unmoved = any(np.allclose(camera.position, known, rtol=1e-3, atol=1e-3) for known in (position, initial))
-            if is_unmoved and abs(camera.aspect / aspect - 1) > 0.02:
+            sent.is_there |= monotonic() > sent.time + ARRIVAL_SECONDS
+            is_unmoved = all(
+                np.allclose(seen, known, rtol=1e-3, atol=1e-3)
+                for seen, known in ((camera.position, sent.position), (camera.look_at, sent.target))
+            )
+            # A page connects before its panels dock, which changes the aspect ratio of the viewport.
+            if (is_unmoved or not sent.is_there) and abs(camera.aspect / sent.aspect - 1) > 0.02:
                 self._update_camera(client)
-            elif not self.overlaid:
+            elif is_unmoved:
+                sent.is_there = True
+            elif sent.is_there and not self.overlaid:
                 self._follow_camera(camera)
 
         self._update_camera(client)
 
     def remove_client(self, client: Any) -> None:
         """Remove the state of a closed page."""
-        self._client_views.pop(client.client_id, None)
+        self._sent_cameras.pop(client.client_id, None)
 
     def _update_camera(self, client: Any) -> None:
         aspect = client.camera.aspect  # width/height
         if len(self._meshes) > 1 and not self.overlaid:
             self._rearrange(lambda arrangement: arrangement.fitted(1 / aspect))
         position, centre = self.arrangement.camera(1 / aspect)
-        self._client_views[client.client_id] = position, aspect
+        self._sent_cameras[client.client_id] = _SentCamera(position, centre, aspect, monotonic())
         with client.atomic():
             client.camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
             client.camera.position = position  # viser also moves the target

@@ -99,6 +99,21 @@ var mixseqWindow = (function () {
     }
   }
 
+  /** Name for screen readers what viser leaves without a name. */
+  setInterval(() => {
+    const name = (element, text) => element?.setAttribute("aria-label", text);
+    for (const canvas of document.querySelectorAll("#root canvas:not([aria-label])")) {
+      canvas.setAttribute("role", "img");
+      name(canvas, "Meshes. Drag to orbit, right-drag to pan, wheel to zoom, ? for keys.");
+    }
+    for (const [icon, text] of [[".tabler-icon-list-search", "Commands"], [".tabler-icon-adjustments", "Settings of the page"], [".mantine-Notification-closeButton", "Dismiss"]]) {
+      document.querySelectorAll(icon).forEach((each) => name(each.closest("button"), text));
+    }
+    for (const label of document.querySelectorAll("#root label[for]")) {
+      if (!document.getElementById(label.htmlFor)) name(label.parentElement.parentElement.parentElement.querySelector("input"), label.textContent);
+    }
+  }, 1000);
+
   document.addEventListener("click", ({ isTrusted }) => isTrusted && setTimeout(() => {
     const kept = JSON.parse(localStorage.getItem(FOLDS) ?? "{}");
     localStorage.setItem(FOLDS, JSON.stringify({ ...kept, ...Object.fromEntries(sections().map(({ name, open }) => [name, open])) }));
