@@ -202,8 +202,8 @@ def _difference_rows(terms: Sequence[tuple[Index, Float | float]], scales: Float
 FIRST_STIFFNESS, LAST_STIFFNESS = 1.0, 1e-5  # results on horse to camel and cat to lion hardly depend on these values
 STIFFNESS_STEPS = 10  # number of stiffnesses, evenly spaced in their logarithm
 ROUNDS_PER_STEP = 2  # rounds of closest points per stiffness
-COARSE_STIFFNESS, COARSE_STRIDE = 1e-2, 4  # least stiffness at which every fourth vertex suffices
-REFINEMENT_STEPS = 1  # conjugate gradients of every round but the first of a stiffness; more hardly change the result
+SAMPLED_STIFFNESS, SAMPLED_VERTICES = 1e-2, 5000  # least stiffness at which about this number of vertices suffices
+REFINEMENT_STEPS = 2  # conjugate gradients of a stiffness's second round; 1 is too few for 39 markers of cat and lion
 MARKER_ONLY_ROUNDS = 3  # number of minimisations with markers alone, which update the similarities
 MARKER_WEIGHT = 1.0  # total weight of markers; the vertices of each surface have a total weight of 1
 MAX_NORMAL_ANGLE_DEGREES = 60.0  # largest angle between normals of closest points
@@ -234,8 +234,7 @@ def register(
     for round_id, (stiffness, radius) in enumerate(zip(stiffnesses, radii, strict=True)):
         progress(round_id, len(radii), "registering")
         before = current if round_id % ROUNDS_PER_STEP else None
-        stride = 1 if stiffness < COARSE_STIFFNESS else COARSE_STRIDE
-        constraints = data_term.constraints(current.points, radius, stride)
+        constraints = data_term.constraints(current.points, radius, sampled=stiffness >= SAMPLED_STIFFNESS)
         current = energy.minimise(stiffness, current.maps, constraints, before=before)
     progress(len(radii), len(radii), "registering")
     points = _move_unfitted_vertices(aligned, data_term.vertices, current.points, current.maps)
@@ -311,16 +310,17 @@ class DataTerm:
         source_areas, target_areas = self.mesh.vertex_areas, self.target.vertex_areas
         return source_areas / source_areas.sum(), target_areas / target_areas.sum()
 
-    def constraints(self, points: Float, radius: float, stride: int = 1) -> list[SoftConstraints]:
+    def constraints(self, points: Float, radius: float, sampled: bool = False) -> list[SoftConstraints]:
         """Return the constraints of fitted points ``(n, 3)``: markers, and closest points on both surfaces.
 
-        Of the vertices, every `stride`-th is attracted, or attracts, with the weight of as many.
+        If `sampled`, every k-th vertex of a component is attracted, or attracts, with the weight of k vertices.
         """
         deformed, target = TriangleMesh(points, self.mesh.topology), self.target
         source_areas, target_areas = self._areas
         constraints = [self.markers]
         searches = zip(self.pairings, self._target_searches, self._source_orders, strict=True)
         for pairing, target_search, order in searches:
+            stride = max(len(pairing.source_vertices) // SAMPLED_VERTICES, 1) if sampled else 1
             vertices = pairing.source_vertices[::stride]
             closest = target_search.query(
                 points[vertices], deformed.vertex_normals[vertices], MAX_NORMAL_ANGLE_DEGREES, radius
@@ -330,6 +330,7 @@ class DataTerm:
             corners, weights = vertices[near][:, None], stride * source_areas[vertices[near]]
             constraints.append(SoftConstraints(corners, np.ones((len(near), 1)), goals, weights))
 
+            stride = max(len(pairing.target_vertices) // SAMPLED_VERTICES, 1) if sampled else 1
             vertices = pairing.target_vertices[::stride]
             source_search = ClosestPointQuery.from_mesh(deformed.points, deformed.faces, pairing.source_faces, order)
             normals = target.vertex_normals[vertices]
