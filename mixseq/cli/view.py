@@ -361,8 +361,10 @@ def _with_motion(path: Path, reading: Mapping[str, Any], rest: MeshSequence) -> 
             frames = load_frames(reader)
     if frames.header.vertex_count != rest.vertex_count:
         return rest
-    poses = np.concatenate([rest.points[:1], frames.points[evenly_spaced(len(frames.points), MAX_POSES - 1)]])
-    return mixseq.MeshSequence.from_header(rest.header.with_times(np.arange(len(poses), dtype=float)), poses)
+    chosen, header = evenly_spaced(len(frames.points), MAX_POSES - 1), frames.header
+    times = np.append(header.times[0] - 1 / header.fps, header.times[chosen])  # frames keep their numbers
+    poses = np.concatenate([rest.points[:1], frames.points[chosen]])
+    return mixseq.MeshSequence.from_header(rest.header.with_times(times, header.fps), poses)
 
 
 # Pages that play without the viewer -----------------------------------------------------------------------------
