@@ -348,16 +348,18 @@ class PoseControls:
         self._tool.apply(self._fade())
         self._show_handles()
 
-    def _drag(self, index: int, vertex: int, target: Float) -> None:
+    def _drag(self, index: int, vertex: int, target: Float) -> bool:
         if index != self._session.index:
-            return
+            return False
         self._playback.pause()
         elapsed = np.array([self._playback.scene.elapsed(self._playback.frame)])
         try:
             self._tool.drag(vertex, target, float(model_times(self._session.model.header, elapsed)[0]))
         except SettingsError as error:
             notify_all(self._server, "Pose: not done", str(error))
+            return False
         self._show_handles()
+        return True
 
     def _show_handles(self) -> None:
         pending = self._tool.pending
