@@ -112,17 +112,11 @@ class Energy:
         return np.asarray(columns * size + self._matrix.indices)
 
     def minimise(
-        self,
-        stiffness: float,
-        maps: Float,
-        constraints: list[SoftConstraints],
-        rounds: int = 1,
-        before: Deformation | None = None,
+        self, stiffness: float, maps: Float, constraints: list[SoftConstraints], before: Deformation | None = None
     ) -> Deformation:
         """Return the deformation of least energy near the similarities of `maps`.
 
-        Each further round, with the same matrix, is near the similarities of the maps before. With the deformation
-        `before`, of the same stiffness and similar constraints, its factor preconditions a few conjugate gradients.
+        The factor of a deformation `before`, of the same stiffness, preconditions a few conjugate gradients from there.
         """
         vertex_count, unknown_count = len(maps), 4 * len(maps)
         values = stiffness * self._matrix.data
@@ -145,15 +139,13 @@ class Energy:
                         places = np.searchsorted(self._keys, keys)
                     products = weighted[lower, k] * constraint.barycentric[lower, other]
                     values += np.bincount(places, products, minlength=len(values))
+        similarities = nearest_similarities(maps).transpose(0, 2, 1)
+        right_side[:, 1:] = stiffness * SHEAR_WEIGHT * self.areas[:, None, None] * similarities
+        flat = right_side.reshape(unknown_count, 3)
         factor = self._analysis.factor(values) if before is None else before.factor
-        for _ in range(rounds):
-            similarities = nearest_similarities(maps).transpose(0, 2, 1)
-            right_side[:, 1:] = stiffness * SHEAR_WEIGHT * self.areas[:, None, None] * similarities
-            flat = right_side.reshape(unknown_count, 3)
-            unknowns = factor.solve(flat) if before is None else self._refine(before, values, flat)
-            solution = unknowns.reshape(vertex_count, 4, 3)
-            maps = solution[:, 1:].transpose(0, 2, 1).copy()
-        return Deformation(solution[:, 0].copy(), maps, factor)
+        unknowns = factor.solve(flat) if before is None else self._refine(before, values, flat)
+        solution = unknowns.reshape(vertex_count, 4, 3)
+        return Deformation(solution[:, 0].copy(), solution[:, 1:].transpose(0, 2, 1).copy(), factor)
 
     def _refine(self, before: Deformation, values: Float, right_side: Float) -> Float:
         """Return unknowns ``(4 V, 3)`` after `REFINEMENT_STEPS` preconditioned conjugate gradients per coordinate."""
@@ -165,12 +157,13 @@ class Energy:
             return np.asarray(lower @ x + lower.T @ x - diagonal * x)
 
         residual, direction, previous = right_side - multiply(unknowns), np.zeros_like(unknowns), np.full(3, np.inf)
+        tiny = np.finfo(float).tiny  # where a coordinate has no residual, as that across a flat mesh
         for _ in range(REFINEMENT_STEPS):
             correction = before.factor.solve(residual)
             current = (residual * correction).sum(axis=0)
-            direction = correction + current / previous * direction
+            direction = correction + current / np.maximum(previous, tiny) * direction
             product = multiply(direction)
-            step = current / np.maximum((direction * product).sum(axis=0), np.finfo(float).tiny)
+            step = current / np.maximum((direction * product).sum(axis=0), tiny)
             unknowns, residual, previous = unknowns + step * direction, residual - step * product, current
         return unknowns
 
@@ -230,12 +223,14 @@ def register(
     maps = np.broadcast_to(np.eye(3), (len(data_term.vertices), 3, 3))
     stiffnesses = np.repeat(np.geomspace(FIRST_STIFFNESS, last_stiffness, steps), ROUNDS_PER_STEP).tolist()
     radii = np.repeat(np.linspace(FIRST_SEARCH_DIAGONALS, LAST_SEARCH_DIAGONALS, steps), ROUNDS_PER_STEP).tolist()
-    current = energy.minimise(FIRST_STIFFNESS, maps, [data_term.markers], MARKER_ONLY_ROUNDS)
+    current = energy.minimise(FIRST_STIFFNESS, maps, [data_term.markers])
+    for _ in range(MARKER_ONLY_ROUNDS - 1):
+        current = energy.minimise(FIRST_STIFFNESS, current.maps, [data_term.markers], current)
     for round_id, (stiffness, radius) in enumerate(zip(stiffnesses, radii, strict=True)):
         progress(round_id, len(radii), "registering")
         before = current if round_id % ROUNDS_PER_STEP else None
         constraints = data_term.constraints(current.points, radius, sampled=stiffness >= SAMPLED_STIFFNESS)
-        current = energy.minimise(stiffness, current.maps, constraints, before=before)
+        current = energy.minimise(stiffness, current.maps, constraints, before)
     progress(len(radii), len(radii), "registering")
     points = _move_unfitted_vertices(aligned, data_term.vertices, current.points, current.maps)
     return np.asarray(points * diagonal + centre)

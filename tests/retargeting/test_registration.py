@@ -18,7 +18,7 @@ from mixseq.retargeting.registration import (
     register,
 )
 from mixseq.types import Float
-from tests.meshes import Mesh, bent, joined, rotation, topology_of, torus, tube
+from tests.meshes import Mesh, bent, grid, joined, rotation, topology_of, torus, tube
 
 pytestmark = pytest.mark.slow
 
@@ -104,9 +104,19 @@ def test_a_kept_factor_refines_a_deformation_to_the_minimum(monkeypatch: pytest.
     distances = []
     for count in (1, 4):
         monkeypatch.setattr(registration, "REFINEMENT_STEPS", count)
-        refined = energy.minimise(0.1, before.maps, [more], before=before).points
+        refined = energy.minimise(0.1, before.maps, [more], before).points
         distances.append(np.abs(refined - exact).max() / np.abs(before.points - exact).max())
     assert distances[0] < 0.7 and distances[1] < 1e-6
+
+
+def test_a_refined_flat_mesh_stays_flat() -> None:
+    """Across the mesh there is no residual, by which conjugate gradients would divide."""
+    points, faces = grid(4, 4)
+    points = points * [1.0, 1.0, 0.0]
+    energy, corners = Energy(surface((points, faces))), np.array([[0], [3], [12]])
+    pull = SoftConstraints(corners, np.ones((3, 1)), 1.2 * points[corners[:, 0]], np.ones(3))
+    flat = energy.minimise(1.0, np.broadcast_to(np.eye(3), (len(points), 3, 3)), [pull])
+    np.testing.assert_array_equal(energy.minimise(1.0, flat.maps, [pull], flat).points[:, 2], 0.0)
 
 
 def test_a_pull_on_a_triangle_is_a_pull_on_its_point() -> None:

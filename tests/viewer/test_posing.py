@@ -261,7 +261,7 @@ def test_a_drag_of_the_mesh_moves_the_nearest_vertex_by_as_much(stage: LiveStage
     seen: list[tuple[int, int, Float]] = []
 
     def take(*dragged: Any) -> bool:
-        seen.append(dragged)  # type: ignore[arg-type]
+        seen.append(dragged)
         return True
 
     callback = stage._drag_callback(0, None)
