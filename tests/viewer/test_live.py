@@ -46,7 +46,8 @@ def model() -> Model:
     return mixseq.fit(coarse_walk(16), rank=6)
 
 
-def save(path: Path, model: Model, replace: bool) -> str:
+def save(path: Path, model: Model | str, replace: bool) -> str:
+    assert isinstance(model, Model)
     mixseq.save(path, model)
     return path.name
 
