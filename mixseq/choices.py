@@ -27,10 +27,6 @@ BetweenName = Literal["auto", "smooth", "linear", "hold", "vertices"]
 BETWEENS: tuple[BetweenName, ...] = get_args(BetweenName)
 """Motion between frames: as found in them, smooth through repeated poses and keys, straight, none, or of vertices."""
 
-PoseForm = Literal["modes", "keys"]
-POSE_FORMS: tuple[PoseForm, ...] = get_args(PoseForm)
-"""Key shapes of a model: mean and modes, or key frames."""
-
 TransferName = Literal["mixed", "gradients"]
 TRANSFERS: tuple[TransferName, ...] = get_args(TransferName)
 """Methods of motion transfer: by parts and joints, or by deformation gradients."""

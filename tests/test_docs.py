@@ -228,7 +228,7 @@ def write_text(text: str, path: Path) -> None:
     path = Path(named[1]) if named else path
     path.write_text(text, encoding="utf-8")
     if "[[edit]]" in text:
-        model = mixseq.load("keyed.h5" if "swap_key" in text else "walk.h5")
+        model = mixseq.load("walk.h5")
         for edit in read_script(path, Readers(mixseq.load, mixseq.read)):
             model = edit(model)
         model(model.times[0])
@@ -408,7 +408,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mixseq.save(path / "gradient.h5", mixseq.fit(small, rank=1, space="gradient"))
     mixseq.save(path / "lri.h5", mixseq.fit(small, rank=1, space="lri"))
     mixseq.save(path / "edge.h5", mixseq.fit(small, rank=1, space="edge", projection="dso", volume=1.0))
-    keyed = mixseq.fit(small, pose="keys", exact=True)
+    keyed = mixseq.fit(small, exact=True)
     mixseq.save(path / "herd.h5", operations.with_body(keyed, operations.key_poses(keyed), "other"))
     mixseq.save(path / "compressed.h5", mixseq.compress(small, max_error=0.01))
     return path

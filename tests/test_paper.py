@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from mixseq.mesh.topology import Topology
-from scripts.paper_study.common.errors import band, errors, text
+from scripts.paper_study.common.errors import band, errors, folded, text
 from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.printed import TABLE_1, TABLE_2, TABLE_3, TABLE_4, edge_dimension
 from scripts.paper_study.common.record import named, ratio_range
 from scripts.paper_study.main import STAGES, write, write_index
-from tests.meshes import tetrahedron
+from tests.meshes import grid, tetrahedron
 
 
 @pytest.mark.parametrize("name", TABLE_1)
@@ -65,6 +65,27 @@ def test_errors_of_a_scaled_tetrahedron() -> None:
     assert right.strain == pytest.approx(0, abs=1e-12) and right.degrees == pytest.approx(0, abs=1e-9)
     assert errors(poses, between(0.5), 3.0 * points).strain == pytest.approx(0.5)
     assert errors(poses, between(0.25), 3.0 * points).at(1.0)[0] == pytest.approx(1.0)
+
+
+def strip(bend: float) -> Poses:
+    """A strip of two rows and 21 columns, bent by an angle in its middle, as both poses."""
+    x = np.arange(21.0) - 10
+    arm = np.stack([np.where(x > 0, np.cos(bend), 1) * x, np.where(x > 0, np.sin(bend), 0) * x], axis=1)
+    points = np.concatenate([np.insert(arm, 2, y, axis=1) for y in (0.0, 1.0)])
+    faces = grid(1, 20)[1]
+    return Poses(
+        "lion", (0, 1), np.stack([points, points]), cast(Any, SimpleNamespace(faces=faces)), Topology(faces, 42)
+    )
+
+
+def test_a_strip_that_is_bent_onto_itself_is_folded() -> None:
+    straight, bent, onto_itself = strip(0.0), strip(2.0), strip(np.pi)
+    found = [errors(straight, between(0.5), poses.points[0]).nearest for poses in (straight, bent, onto_itself)]
+    assert found[0] == 1.0 and found[1] == pytest.approx(np.cos(1.0), abs=0.01) and found[2] < 0.25
+    ends = bent.along_limbs[0].tolist()
+    assert [0, 10] in ends and [0, 20] not in ends  # nor is what passes another limb
+    assert folded({"A": {"nearest": 0.8}, "B": {"nearest": 0.3}}).startswith("Folded or shrunk limbs: B (0.3). ")
+    assert folded({"A": {"nearest": 0.8}}).startswith("Folded or shrunk limbs: none. ")
 
 
 def test_numbers_have_two_digits_and_no_exponents() -> None:

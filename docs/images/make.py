@@ -43,7 +43,6 @@ from mixseq.operations import (
     sketch,
     smooth,
     speed,
-    swap_key,
     transition,
     with_body,
 )
@@ -365,18 +364,6 @@ def sole(bone_name: str) -> int:
     return int(vertices[walk_model()(0.0)[vertices, 1].argmin()])
 
 
-def swapped(path: Path) -> None:
-    """A hump on one key shape."""
-    model = mixseq.fit(walk_model().sample(), pose="keys", rank=5)
-    frame = int(model.key_frames[0])
-    points = hump(model(float(model.times[frame])))
-    rows = {
-        "walk": model,
-        f"swap_key\n(frame {frame}, {model.times[frame]:.2f} s)": swap_key(model, 0, points),
-    }
-    sheet(path, rows, np.arange(7) / 6, against=model)
-
-
 def sketched(path: Path) -> None:
     """A curve in the layout, and the motion that it tells."""
     walk = walk_model()
@@ -521,7 +508,7 @@ def long_legs() -> mixseq.MeshSequence:
 
 def bodies(path: Path) -> None:
     """A walk and its edit on three bodies, one of which has other triangles."""
-    fox = mixseq.fit(walk_cycle(frames=FPS, fps=FPS), pose="keys", exact=True)
+    fox = mixseq.fit(walk_cycle(frames=FPS, fps=FPS), exact=True)
     plan = plan_transfer(key_poses(fox), long_legs())
     herd = with_body(fox, join_blocks(plan.header, plan.blocks()), "long legs")
     kept, faces = decimate(long_legs().points[0], fox.header.faces.astype(int), 700)
@@ -573,7 +560,6 @@ PICTURES: Mapping[str, Callable[[Path], None]] = {
     "edit-sculpt": sculpted,
     "edit-pose": posed,
     "pose-still": posed_still,
-    "edit-swap": swapped,
     "edit-sketch": sketched,
     "engines": engines,
     "transfer-fox": transfer_fox,

@@ -28,6 +28,8 @@ HERE = Path(__file__).parent
 SIZE = {"width": 1280, "height": 800}
 ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
 COLOURS = 160
+FILM_CROP = (364, 130, 1280, 640)
+"""Mesh and controls: left, upper, right and lower edge in pixels."""
 
 
 def main() -> None:
@@ -43,6 +45,8 @@ def main() -> None:
         settings = ViewSettings(folder=Path(folder))
         with run_viewer(SceneColours(Scene((SceneItem("walk.h5", model),))), settings, save_model) as running:
             take_viewer(browser.new_page(viewport=SIZE), running.address)
+        with run_viewer(SceneColours(Scene((SceneItem("walk.h5", model),))), settings, save_model) as running:
+            take_pose(browser.new_page(viewport=SIZE), running.address, model)
         mixseq.save(Path(folder, "walk.h5"), model)
         exported = str(Path(folder, "walk.html"))
         view_command.main([str(Path(folder, "walk.h5")), "--export", exported], standalone_mode=False)
@@ -64,12 +68,53 @@ def save_model(path: Path, model: Model, replace: bool) -> str:
     return ""
 
 
-def take_viewer(page: Page, address: str) -> None:
-    """The viewer, with parts in colours, while a point of the curve is dragged."""
+def open_viewer(page: Page, address: str) -> None:
+    """Open the viewer, and close what is said of the missing graphics card."""
     page.goto(address)
     page.get_by_text("Software WebGL").wait_for(timeout=60_000)
     page.locator(".mantine-Notification-closeButton").click()
     page.wait_for_function("() => document.getElementById('mixseq-charts')?.mixseqCharts?.handlePixels().length")
+
+
+ON_SCREEN = """(vertex) => {
+  const { nodeRefFromName, camera, canvas } = window.__viserMutable;
+  const { x, y, width, height } = canvas.getBoundingClientRect();
+  let mesh = null;
+  nodeRefFromName["/mesh/0"].traverse((each) => { if (each.isMesh && !mesh) mesh = each });
+  const point = mesh.position.clone().fromArray(mesh.geometry.attributes.position.array, 3 * vertex);
+  mesh.localToWorld(point).project(camera);
+  return [x + (1 + point.x) / 2 * width, y + (1 - point.y) / 2 * height];
+}"""
+"""Where a vertex is on the page."""
+
+
+def take_pose(page: Page, address: str, model: Model) -> None:
+    """A film: the nose is dragged up, with a forepaw pinned."""
+    open_viewer(page, address)
+    page.wait_for_timeout(3000)
+    page.get_by_label("Pose", exact=True).check()
+    page.get_by_label("Exact", exact=True).check()
+    points, shots = model(model.start), []
+    nose, paw = int(points[:, 0].argmax()), int(points[:, 1].argmin())
+    x, y = page.evaluate(ON_SCREEN, paw)
+    page.mouse.click(x, y - 5)
+    x, y = page.evaluate(ON_SCREEN, nose)
+    page.mouse.move(x - 8, y)
+    page.mouse.down()
+    for share in np.concatenate([np.zeros(2), np.linspace(0, 1, 12), np.ones(3)]):
+        page.mouse.move(x - 8 - 70 * share, y - 90 * share)
+        page.wait_for_timeout(2500)
+        shots.append(Image.open(BytesIO(page.screenshot(timeout=60_000))).convert("RGB").crop(FILM_CROP))
+    page.mouse.up()
+    page.keyboard.press("Escape")
+    film = HERE / "viewer-pose.webp"
+    shots[0].save(film, save_all=True, append_images=shots[1:] + shots[-4:1:-1], duration=100, loop=0, quality=60)
+    print(f"{film.name}: {film.stat().st_size / 1000:.0f} kB")
+
+
+def take_viewer(page: Page, address: str) -> None:
+    """The viewer, with parts in colours, while a point of the curve is dragged."""
+    open_viewer(page, address)
     page.locator("input[role='combobox'][value='clay']").click()
     page.get_by_role("option", name="parts", exact=True).click()
     places = page.evaluate("document.getElementById('mixseq-charts').mixseqCharts.handlePixels()")

@@ -41,6 +41,16 @@ def is_model(path: Path) -> bool:
     return read_attributes(path).kind == MODEL_FORMAT
 
 
+def model_or_reader(reader: SequenceReader) -> SequenceReader | Model:
+    """Return the model of a reader with all its bodies, the reader itself if there is none, or other axes are read."""
+    if not isinstance(reader, ModelReader):
+        return reader
+    axes, own_axes = (
+        (each.up_axis, each.metres_per_unit, each.times[0]) for each in (reader.header, reader.model.header)
+    )
+    return reader.model if axes == own_axes else reader
+
+
 @public
 def load(path: PathLike, *, max_memory: float | None = None) -> Model:
     """Load a model from an HDF5 file, or from a GLB file with a mesh sequence.
@@ -103,22 +113,22 @@ def _load_h5(source: Path) -> Model:
 
 
 class ModelReader(SequenceReader):
-    """Reader that decodes the frames of a model on demand."""
+    """Reader that decodes the frames of a `model` on demand; warns of further bodies when it does."""
 
     def __init__(self, path: Path) -> None:
         from mixseq.signals.decoding import FRAMES_PER_BLOCK
 
-        self._frames = load(path).frames
+        self.model = load(path)
         self._max_block_frames = FRAMES_PER_BLOCK
-        super().__init__(path, self._frames.header)
+        super().__init__(path, self.model.header)
 
     @property
     def parts(self) -> IntArray | None:
         """Part ``(F,)`` of every triangle; None if the model has none."""
-        return self._frames.parts
+        return self.model.parts
 
     def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
-        return self._frames.blocks(min(size, self._max_block_frames))
+        return self.model.frames.blocks(min(size, self._max_block_frames))
 
 
 def open_h5(path: Path) -> SequenceReader:

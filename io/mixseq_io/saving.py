@@ -17,7 +17,7 @@ from mixseq.version import __version__
 from mixseq_io.coded.packing import pack
 from mixseq_io.coded.streams import Container
 from mixseq_io.hdf5.contents import MODEL_FORMAT
-from mixseq_io.hdf5.datasets import create_h5
+from mixseq_io.hdf5.datasets import body_groups, create_h5
 from mixseq_io.hdf5.models import write_model
 from mixseq_io.loading import GLB_EXTENSION, MODEL_EXTENSIONS
 
@@ -76,13 +76,16 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
 def write_container(file: h5py.File, container: Container) -> None:
     """Store the text of a compressed model as an attribute, and all streams as one dataset, as each takes bytes.
 
-    Strings have fixed length, since a string of variable length takes 4 KiB.
+    Further bodies have groups. Strings have fixed length, since a string of variable length takes 4 KiB.
     """
-    for name, text in (
-        ("format", MODEL_FORMAT.encode()),
-        ("created_by", f"mixseq {__version__}".encode()),
-        ("coding", container.text),
-    ):
-        file.attrs.create(name, text, dtype=h5py.string_dtype("ascii", len(text)))
+
+    def write_text(group: h5py.Group, name: str, text: bytes) -> None:
+        group.attrs.create(name, text, dtype=h5py.string_dtype("ascii", len(text)))
+
+    write_text(file, "format", MODEL_FORMAT.encode())
+    write_text(file, "created_by", f"mixseq {__version__}".encode())
     file.attrs["version"] = container.version
-    file.create_dataset("streams", data=np.frombuffer(container.streams, dtype=np.uint8), track_times=False)
+    groups = body_groups(file, len(container.bodies))
+    for each, group in zip((container, *container.bodies), (file, *groups), strict=True):
+        write_text(group, "coding", each.text)
+        group.create_dataset("streams", data=np.frombuffer(each.streams, dtype=np.uint8), track_times=False)

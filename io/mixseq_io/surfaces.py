@@ -72,14 +72,15 @@ class RoundingMonitor:
             count += len(points)
         self._check_promise()
 
-    def measure(self, frame: int, points: FloatArray, written: FloatArray) -> None:
+    def measure(self, frame: int, points: FloatArray, written: FloatArray, corners: FloatArray | None = None) -> None:
         """Measure the distances of points ``(V, 3)`` of a frame from those that are written, or rounded, for them.
 
+        `corners` ``(n, 3)`` have the bounding box of `written`, which is computed without them.
         They are not measured where rounding of the largest coordinate is neither visible nor of weight for a promise.
         """
         if points.dtype == np.float32 or not points.size:
             return
-        box = np.stack(bounding_box(written)).astype(np.float64)
+        box = np.asarray(bounding_box(written) if corners is None else corners, dtype=np.float64)
         largest = float(np.abs(box).max())
         self._largest = max(self._largest, largest)
         self._largest_local = max(self._largest_local, float(np.abs(box - self._near).max()))

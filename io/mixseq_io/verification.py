@@ -10,7 +10,7 @@ scale.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, cast
@@ -24,7 +24,7 @@ from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import match_polygons
 from mixseq.metrics import match_reference, paired_blocks
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, HasFrames, public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance, frames_checksum
 from mixseq.sequence.sequence import Frames, LazyFrames, check_frames, reference_diagonal
@@ -60,18 +60,22 @@ def read_compressed(path: Path) -> CompressedSequence:
 def compressed_sizes(path: Path) -> dict[str, int]:
     """Return the size in bytes of each part of a compressed model."""
     container = read_container(path)
-    index = read_index(path, container)
+    indices = [read_index(path, each) for each in (container, *container.bodies)]
     still = mesh_sequence.overhead_size(path) if mesh_sequence.is_glb(path) else 0
-    total, connectivity = path.stat().st_size, index.header["connectivity"].size
+
+    def size_of(name: str) -> int:
+        return sum(index.header[name].size for index in indices if name in index.header)
+
+    total, connectivity = path.stat().st_size, size_of("connectivity")
     return {
         "total": total,
         "connectivity": connectivity,
         "still": still,
-        "container": total - len(container.streams) - still,
-        "signals": len(container.streams) - connectivity,
-        "uvs": index.header["uvs"].size if "uvs" in index.header else 0,
-        "surface": index.header["surface"].size,
-        "index": index.size,
+        "container": total - container.nbytes - still,
+        "signals": container.nbytes - connectivity,
+        "uvs": size_of("uvs"),
+        "surface": size_of("surface"),
+        "index": sum(index.size for index in indices),
     }
 
 
@@ -108,6 +112,8 @@ class Verification:
         Requested bound of texture coordinates; None if there are none or if they are stored exactly.
     uv_error : float or None
         Largest difference of u or v at any corner; None if the original has no coordinates.
+    bodies : dict of Verification
+        Results of the further bodies by name; compared with those of a model with these names.
     """
 
     frames: int
@@ -123,10 +129,13 @@ class Verification:
     worst_vertex: int | None = None
     uv_bound: float | None = None
     uv_error: float | None = None
+    bodies: dict[str, Verification] = field(default_factory=dict)
 
     @property
     def holds(self) -> bool:
         """Whether all vertices and texture coordinates are within their bounds; true without an original or a bound."""
+        if not all(body.holds for body in self.bodies.values()):
+            return False
         tolerance = 1.0 if self.promised else 1.0 + _MEASURED_BOUND_TOLERANCE
         if self.uv_bound is not None and self.uv_error is not None and self.uv_error > self.uv_bound:
             return False
@@ -134,14 +143,15 @@ class Verification:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as values for JSON, with None in place of infinity."""
-        values = {**asdict(self), "holds": self.holds}
+        bodies = {name: body.as_dict() for name, body in self.bodies.items()}
+        values = {**asdict(self), "holds": self.holds, "bodies": bodies}
         return {name: None if value == float("inf") else value for name, value in values.items()}
 
 
 @public
 def verify(
     path: PathLike,
-    original: FileOr[Frames | HasFrames] | None = None,
+    original: FileOr[Frames | Model] | None = None,
     progress: Progress = log_progress,
     *,
     script: PathLike | None = None,
@@ -152,9 +162,9 @@ def verify(
     ----------
     path : path-like
         HDF5 or GLB file with a result of `mixseq.compress`, or a model.
-    original : MeshSequence or SequenceReader, optional
+    original : MeshSequence, SequenceReader or Model, optional
         The sequence before compression or fitting, or the one before that; all vertices of all frames are compared,
-        even if vertices were renumbered.
+        even if vertices were renumbered. Of models, bodies of equal names are compared.
     progress : callable, optional
         Function that is called after every frame.
     script : path-like, optional
@@ -176,11 +186,31 @@ def verify(
     >>> mixseq.verify("small.h5", "arm.usdc").max_error <= 1e-3
     True
     """
-    original = cast("Frames | None", original)
     file = Path(path)
     sequence = read_compressed(file) if is_compressed(file) else None
-    model = load(file) if sequence is None else decode_model(file, sequence)
-    uv_bound = None if sequence is None else sequence.parameters.uv_error
+    models = load(file) if sequence is None else decode_model(file, sequence)
+    uv_bounds = {} if sequence is None else {body.header.name: body.parameters.uv_error for body in sequence.all_bodies}
+    first = models.header.name
+    originals: dict[str, Frames] = {}
+    if isinstance(original, Model):
+        originals = {frames.header.name: frames for frames in original.frames_of_bodies()}
+        originals[first] = originals.get(first, next(iter(originals.values())))
+    elif original is not None:
+        check_frames(original)
+        originals[first] = cast("Frames", original)
+    if script is not None and originals:
+        originals = {first: _edit(originals[first], Path(script))}
+    results = {
+        name: _verify_body(file, models.body(name), originals.get(name), uv_bounds.get(name), script is None, progress)
+        for name in models.body_names
+    }
+    return replace(results.pop(first), bodies=results)
+
+
+def _verify_body(
+    file: Path, model: Model, original: Frames | None, uv_bound: float | None, has_bound: bool, progress: Progress
+) -> Verification:
+    """Return the verification of the body in front; `has_bound` is whether the original is that of the file."""
     header, provenance = model.header, model.header.provenance or Provenance(file.name)
     if provenance.source is None:
         provenance = replace(provenance, source=Provenance(""))
@@ -197,20 +227,21 @@ def verify(
         for _ in frames.blocks(FRAMES_PER_BLOCK):
             pass
         return verification
-    check_frames(original)
-    if script is not None:
-        original = _edit(original, Path(script))
-    elif any(bound is None for _, bound in bounds):
-        raise SettingsError(
-            f"{file} is {provenance or 'a model of an unknown original'}, which has no bound; give the edit script, "
-            "which is applied to the original for comparison (--script), or measure without a bound by mixseq compare"
-        )
+    unbounded = SettingsError(
+        f"{file} is {provenance or 'a model of an unknown original'}, which has no bound; give the edit script, "
+        "which is applied to the original for comparison (--script), or measure without a bound by mixseq compare"
+    )
+    if has_bound and bounds[0][1] is None:
+        raise unbounded
     paired, renumbering = match_reference(original, header)
     uv_error = None if uv_bound is None else _uv_error(original.header, header)
     errors = _measure_errors(paired, frames, renumbering)
     checksum = errors.pop("checksum")
-    if script is None:
-        verification = replace(verification, **_describe(*_find_step(bounds, checksum, original.header), header))
+    if has_bound:
+        step, bound = _find_step(bounds, checksum, original.header)
+        if bound is None:
+            raise unbounded
+        verification = replace(verification, **_describe(step, bound, header))
     return replace(verification, **errors, uv_error=uv_error)
 
 

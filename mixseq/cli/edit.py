@@ -85,7 +85,7 @@ def command(
 
     The script is a TOML file; its edits are applied in order. Operations are cut, repeat, loop, shift, speed,
     reverse, retime, concatenate, transition, blend, in_place, exaggerate, exaggerate_part, hold, smooth, sculpt, pose,
-    drag, sketch and swap_key; their settings are the parameters of these functions in mixseq.operations. Paths in a
+    drag and sketch; their settings are the parameters of these functions in mixseq.operations. Paths in a
     script are relative to the script's folder, and must be in this folder or its subfolders.
     """
     from mixseq.operations.script import RETIMING_OPERATIONS, Readers, read_script

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.choices import ORDERS, POSE_FORMS, STILLS, PoseForm, StillName
+from mixseq.choices import ORDERS, STILLS, StillName
 from mixseq.cli import files, options
 from mixseq.cli.group import announce, as_bytes, length_text, print_table, progress_bar
 from mixseq.cli.info import bytes_of_frames, coding_facts, coding_rows, dimension_rows, size_row
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from mixseq.metrics import Comparison
     from mixseq.runtime.parallel import Executor
     from mixseq.runtime.progress import Progress
-    from mixseq.sequence.sequence import Frames
     from mixseq.signals.model import Model
+    from mixseq_io.reader import SequenceReader
 
 
 _OF_FITTING = (
     *("exact", "tolerance", "rank", "space", "segmentation", "joint_width", "placement"),
-    *("projection", "volume", "knots", "pose", "between"),
+    *("projection", "volume", "knots", "between"),
 )
 """Options of ``mixseq encode`` that apply only to uncompressed models."""
 
@@ -93,12 +93,21 @@ aiming = options.group(
 
 
 def compressed(
-    frames: Frames, aim: Mapping[str, Any], progress: Progress, still: StillName | None = None
+    frames: SequenceReader, aim: Mapping[str, Any], progress: Progress, still: StillName | None = None
 ) -> CompressedSequence:
-    """Compress a sequence to a target; a target size is the size of the file, a .glb if `still` is given."""
-    aim = in_diagonals(aim, frames, "max_error")
-    if "size" not in aim:
-        return mixseq.compress(frames, **aim, progress=progress)
+    """Compress a sequence to a target; a target size is the size of the file, a .glb if `still` is given.
+
+    A length is a different fraction of the diagonal of every body; all are compressed to the smallest fraction.
+    """
+    from mixseq.signals.model import Model
+    from mixseq_io.loading import model_or_reader
+
+    source = model_or_reader(frames)
+    bodies = list(source.frames_of_bodies()) if isinstance(source, Model) else [frames]
+    aims = [in_diagonals(aim, each, "max_error") for each in bodies]
+    aim = min(aims, key=lambda each: each.get("max_error", 0.0))
+    if "size" not in aim or len(bodies) > 1:
+        return mixseq.compress(source, **aim, progress=progress)
     from mixseq_io.coded.sizes import compress_to_size
 
     return compress_to_size(frames, still=still, progress=progress, **aim)
@@ -127,12 +136,6 @@ def compressed(
     help="Number of inner knots of all curves over time.  [default: as the tolerance needs, else all]",
 )
 @options.setting(
-    "--pose",
-    type=click.Choice(POSE_FORMS),
-    default="modes",
-    help="Key shapes: the mean and modes, or frames of the sequence.",
-)
-@options.setting(
     "--still",
     type=click.Choice(STILLS),
     help="Of a .glb: the first frame for other viewers, by Draco, as float32, or left out.  [default: draco]",
@@ -154,7 +157,6 @@ def command(
     timing: dict[str, Any],
     labels: files.LabelChoice,
     knots: int | None,
-    pose: PoseForm,
     still: StillName | None,
     check: bool,
     workers: AbstractContextManager[Executor],
@@ -193,7 +195,7 @@ def command(
         else:
             fitting = in_diagonals(fitting, reader, "tolerance")
             fitting |= {"parts": parts, **options.at_frames(timing, reader.header)}
-            model = mixseq.fit(reader, **fitting, knots=knots, pose=pose, progress=progress, workers=work)
+            model = mixseq.fit(reader, **fitting, knots=knots, progress=progress, workers=work)
         mixseq.save(target, model, still=still)
         seconds = perf_counter() - start
         if check:

@@ -74,8 +74,13 @@ def print_table(rows: Iterable[Sequence[str]], heading: Sequence[str] | None = N
     if heading:
         lines.insert(0, list(heading))
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    while sum(widths) + 2 * len(widths) - 2 > MAX_TABLE_WIDTH and max(widths) > MIN_COLUMN_WIDTH:
-        widths[widths.index(max(widths))] -= 1
+    words = [max(map(len, " ".join(column).split()), default=0) for column in zip(*lines, strict=True)]
+    limits = [max(MIN_COLUMN_WIDTH, word) for word in (*words[:-1], 0)]  # a long word ends the line
+    spare = [max(width - limit, 0) for width, limit in zip(widths, limits, strict=True)]
+    while sum(widths) + 2 * len(widths) - 2 > MAX_TABLE_WIDTH and any(spare):
+        column = max(range(len(widths)), key=lambda column: (spare[column] > 0, widths[column]))
+        widths[column] -= 1
+        spare[column] -= 1
     for line in lines:
         wrapped = [_wrap(cell, width) for cell, width in zip(line, widths, strict=True)]
         for cells in zip_longest(*wrapped, fillvalue=""):

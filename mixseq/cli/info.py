@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import history_rows, is_model
-from mixseq.cli.group import format_bytes, length_text, print_json, print_table
+from mixseq.cli.files import history_rows, is_model, load_or_fit
+from mixseq.cli.group import format_bytes, length_text, print_json, print_table, progress_bar
 from mixseq.sequence.frame_rates import format_frames, format_rate, time_to_number
 
 if TYPE_CHECKING:
@@ -22,16 +23,25 @@ if TYPE_CHECKING:
 
 Rows = list[tuple[str, str]]
 
+MAX_LIST_LENGTH = 240
+"""Largest length of the text of a list, three lines of a table, in characters."""
 
-@options.command("info", "mixseq info walk.usdc", "mixseq info walk.h5 --json")
+
+@options.command(
+    "info", "mixseq info walk.usdc", "mixseq info walk.h5 --json", "mixseq info run.h5 --set moments=walk.h5"
+)
 @options.argument("path", metavar="FILE")
+@options.setting(
+    "--moments FILE",
+    help="Find where it is best left for another motion of its mesh, or for the same file, where it loops.",
+)
 @options.as_json
 @options.reading
 @options.quiet
-def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
+def command(path: Path, moments: Path | None, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
     """Show the contents of a sequence or a model.
 
-    For a sequence, only the first frame is read.
+    For a sequence, only the first frame is read, unless moments are to be found.
     """
     facts: dict[str, Any] = {
         "file": str(path),
@@ -44,6 +54,7 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
             coded = read_compressed(path)
             header = coded.header
             facts |= {"kind": "model", **_mesh(header, coded.parameters.diagonal), **coding_facts(path, coded)}
+            facts["further_bodies"] = [body.header.name for body in coded.bodies]
         else:
             model = mixseq.load(path)
             header = model.header
@@ -56,33 +67,64 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
 
             header = reader.header
             facts |= {"kind": "sequence", **_mesh(header, reference_diagonal(reader.blocks(1)).length)}
+    if moments is not None:
+        facts["moments"] = _find_moments(path, moments, quiet)
     if as_json:
         print_json(facts | {"provenance": header.provenance and header.provenance.to_plain()})
     elif not quiet:
         print_table([*_rows(facts), *history_rows(header)])
 
 
+def _find_moments(path: Path, other: Path, quiet: bool) -> list[dict[str, float]]:
+    """Find the moments to leave a file for another one, or the loops of one; sequences are fitted."""
+    from mixseq.operations import find_moments, fit_shots
+
+    with progress_bar(quiet) as progress:
+        if path.samefile(other):
+            a = b = load_or_fit(path, progress)
+        elif is_model(path) or is_model(other):
+            a, b = (load_or_fit(each, progress) for each in (path, other))
+        else:
+            a, b = fit_shots([mixseq.read(each) for each in (path, other)], progress=progress)
+        moments = find_moments(a, None if a is b else b)
+    return [
+        moment._asdict()
+        | {
+            "leave_frame": time_to_number(moment.leave, a.header.fps),
+            "enter_frame": time_to_number(moment.enter, b.header.fps),
+        }
+        for moment in moments
+    ]
+
+
+def _moment_rows(moments: Sequence[Mapping[str, float]]) -> Rows:
+    """Return table rows for the results of `_find_moments`."""
+    text = (
+        "leave at frame {leave_frame:.5g} ({leave:.4g} s), enter at frame {enter_frame:.5g} ({enter:.4g} s); "
+        "distance {distance:.2g}, strain {strain:.2g}"
+    )
+    return [(f"moment {number}", text.format_map(moment)) for number, moment in enumerate(moments, start=1)]
+
+
 def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
     """Return the size in bytes, bit rates and errors of a compressed model in a file."""
     from mixseq_io.verification import compressed_sizes
 
-    sizes = compressed_sizes(path)
+    sizes, bodies = compressed_sizes(path), [asdict(body.parameters) for body in coded.all_bodies]
+    rate = 8 / (coded.header.frame_count * sum(body.header.vertex_count for body in coded.all_bodies))
+    largest = {name: max(body[name] for body in bodies) for name in ("max_error", "kg_percent")}
     return {
         "bytes": sizes,
         "coding": {
-            **asdict(coded.parameters),
+            **bodies[0],
+            **largest,
             "order": coded.order,
             "groups": len(coded.basis),
             "chunks": len(coded.chunks),
-            "bits": {name: bits(sizes[name], coded.header) for name in ("signals", "total")},
-            "bits_of_motion": bits(sizes["signals"] - sizes["surface"] - sizes["uvs"], coded.header),
+            "bits": {name: rate * sizes[name] for name in ("signals", "total")},
+            "bits_of_motion": rate * (sizes["signals"] - sizes["surface"] - sizes["uvs"]),
         },
     }
-
-
-def bits(size: int, header: SequenceHeader) -> float:
-    """Convert a size in bytes to bits per vertex and frame."""
-    return 8 * size / (header.vertex_count * header.frame_count)
 
 
 def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
@@ -229,7 +271,7 @@ def _rows(facts: dict[str, Any]) -> Rows:
         rows += [*_dimension_rows(facts, facts["triangles"]), size_row(**facts["bytes"])]
     elif facts["bytes"]["total"] is not None:
         rows.append(("size", format_bytes(facts["bytes"]["total"])))
-    return rows
+    return rows + _moment_rows(facts.get("moments", ()))
 
 
 def _topology_rows(report: dict[str, Any]) -> Rows:
@@ -282,6 +324,5 @@ def _dimension_rows(facts: dict[str, Any], triangles: int) -> Rows:
     ]
 
 
-def _list(counts: Sequence[object], longest: int = 20) -> str:
-    shown = ", ".join(map(str, counts[:longest]))
-    return shown if len(counts) <= longest else f"{shown}, ..."
+def _list(items: Sequence[object]) -> str:
+    return textwrap.shorten(", ".join(map(str, items)), MAX_LIST_LENGTH, placeholder=" ...")

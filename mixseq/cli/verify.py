@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,17 +40,21 @@ def command(
         options.refuse("script", why="is applied to ORIGINAL, which is missing; name it")
     if reading and original is None:
         raise SettingsError(f"{next(iter(reading))!r} is for reading ORIGINAL, which is missing; name it")
+    from mixseq_io.loading import model_or_reader
+
     with ExitStack() as resources:
         progress = resources.enter_context(progress_bar(quiet))
         frames = None
         if original is not None:
             frames = resources.enter_context(mixseq.open_sequence(original, **reading))
-        result = mixseq.verify(path, frames, progress=progress, script=script)
-    worst = None if frames is None or result.worst_frame is None else frames.header.frame_number(result.worst_frame)
+        source = None if frames is None else model_or_reader(frames)
+        result = mixseq.verify(path, source, progress=progress, script=script)
     if as_json:
         print_json({"file": str(path), "original": None if original is None else str(original)} | result.as_dict())
     elif not quiet:
-        print_table(_rows(result, worst))
+        for name, each in {"": replace(result, bodies={}), **result.bodies}.items():
+            worst = None if frames is None or each.worst_frame is None else frames.header.frame_number(each.worst_frame)
+            print_table([*([("body", name)] if name else []), *_rows(each, worst)])
     if not result.holds:
         click.get_current_context().exit(1)
 

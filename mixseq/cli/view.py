@@ -387,7 +387,8 @@ def _export(
     # A length is a different fraction of the diagonal of every mesh; use the smallest fraction for all meshes.
     bounds = [in_diagonals(settings, _poses(item), "max_error") for item in colours.scene.items]
     bound = min(bounds, key=lambda converted: converted.get("max_error", 0.0))
-    coded = (read_compressed(file) for file in files if is_model(file) and is_compressed(file))
+    compressed = (read_compressed(file) for file in files if is_model(file) and is_compressed(file))
+    coded = (body for each in compressed for body in each.all_bodies)
     is_coded = [isinstance(item.motion, CompressedModel) for item in colours.scene.items]
     items = page_items(colours, [next(coded) if each else None for each in is_coded])
     with atomic_file(page) as temporary:

@@ -2,22 +2,26 @@
 
 A compressed sequence stores vertex positions at frames. Interpolated in time, they shrink parts that rotate. So between
 frames, and for every edit, the frames are fitted exactly in S_m, as those of any other file, when this is first needed.
+Of several bodies, each is what its own streams decode to, and is fitted to its own frames. In edits, the others move by
+the signals of the body in front, and their frames are their key shapes.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, Playback, decode
+from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.sequence.events import CutChoice
 from mixseq.sequence.frame_rates import FRAME_ROUNDING
-from mixseq.sequence.sequence import LazyFrames
+from mixseq.sequence.sequence import LazyFrames, MeshSequence
+from mixseq.signals.bodies import SAME_BODY, Body, Relation
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.signals.model import Model
@@ -43,7 +47,7 @@ class CompressedModel(Model):
     """
 
     playback: Playback
-    _parts: Index | None
+    _playbacks: Sequence[Playback]  # of all bodies, the same object for each of them in front
     _fitted: Model | None
     _lock: threading.Lock
 
@@ -61,21 +65,65 @@ class CompressedModel(Model):
     @classmethod
     def from_sequence(cls, coded: CompressedSequence) -> CompressedModel:
         """Decode the streams of a compressed sequence."""
-        return cls.from_playback(decode(coded), coded.parts)
+        return cls.from_playbacks([decode(each) for each in coded.all_bodies])
 
     @classmethod
-    def from_playback(cls, playback: Playback, parts: Index | None, fitted: Model | None = None) -> CompressedModel:
-        """Make the model of decoded streams; `parts` ``(F,)`` are those of triangles, None if they are to be found."""
+    def from_playbacks(
+        cls, playbacks: Sequence[Playback], index: int = 0, fitted: Model | None = None
+    ) -> CompressedModel:
+        """Make the model of the decoded streams of all bodies, with one of them in front."""
         model: CompressedModel = object.__new__(cls)
-        signals = {"header": playback.header, "playback": playback, "_parts": parts, "_fitted": fitted}
-        model.__dict__.update(signals, _lock=threading.Lock())
+        facts = {"header": playbacks[index].header, "playback": playbacks[index], "_playbacks": playbacks}
+        model.__dict__.update(facts, _fitted=fitted, _lock=threading.Lock())
         return model
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return CompressedModel.from_playback, (self.playback, self.parts, self._fitted)
+        return CompressedModel.from_playbacks, (self._playbacks, self._playbacks.index(self.playback), self._fitted)
 
     def __repr__(self) -> str:
-        return f"CompressedModel({self.header.name!r}: {self.start:g} to {self.end:g} s, {len(self.times)} frames)"
+        bodies = f", bodies {', '.join(self.body_names)}" if self._others else ""
+        frames = f"{self.start:g} to {self.end:g} s, {len(self.times)} frames{bodies}"
+        return f"CompressedModel({self.header.name!r}: {frames})"
+
+    @property
+    def _others(self) -> list[Playback]:
+        return [each for each in self._playbacks if each is not self.playback]
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """`Model.body_names`."""
+        return self.header.name, *(each.header.name for each in self._others)
+
+    def _with_body(self, name: str) -> CompressedModel:
+        return self.from_playbacks(self._playbacks, [each.header.name for each in self._playbacks].index(name))
+
+    @property
+    def relations(self) -> tuple[Relation, ...]:
+        """`Model.relations`."""
+        return SAME_BODY, *(each.relation.relative_to(self.playback.relation) for each in self._others)
+
+    @property
+    def signals_id(self) -> int:
+        """`Model.signals_id`."""
+        return id(self._playbacks)
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """`Model.bodies`, made at first use: the frames of the others are their key shapes."""
+        fitted = self.fitted
+        with self._lock:
+            if "_bodies" not in self.__dict__:
+                from mixseq.signals.shape_exchange import key_times, make_body
+
+                times, bodies = key_times(fitted), []
+                for playback, relation in zip(self._others, self.relations[1:], strict=True):
+                    header = playback.header.with_times(np.arange(len(times)), 1.0)
+                    keys = MeshSequence.from_header(header, playback.decode_points(times))
+                    parts, turn = playback.parts if relation.same_parts else None, np.array(relation.turn)
+                    bodies.append(make_body(fitted, keys, header.name, parts, quat_to_matrix(turn)))
+                self.__dict__["_bodies"] = tuple(bodies)
+            made: tuple[Body, ...] = self.__dict__["_bodies"]
+            return made
 
     @property
     def fitted(self) -> Model:
@@ -98,7 +146,7 @@ class CompressedModel(Model):
     @property
     def parts(self) -> Index | None:
         """Part ``(F,)`` of every triangle, stored in the file; None if they are found when the model is fitted."""
-        return self._parts
+        return self.playback.parts
 
     start = Decodable.start
     end = Decodable.end

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,7 @@ class Diagonal:
         _, exponent = np.frexp(extent.max())
         return cls(float(np.linalg.norm(np.ldexp(extent, -exponent))), int(exponent) + halved)
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Length in the units of the points; infinite on overflow."""
         with np.errstate(over="ignore"):

@@ -1,8 +1,8 @@
 """Make new models and sequences from models. Operations are pure functions that return a model, so they compose.
 
 `timeline`, `retiming` and `resampling` change times; `transitions` joins motions, at the moments that `shots` finds.
-`filters`, `handles` with `pose_solvers`, `limbs`, `sculpt` and `sketch` change poses; `shape_exchange` changes bodies.
-`interpolation` blends poses. `script` reads edits from files.
+`filters`, `handles` with `pose_solvers`, `limbs`, `sculpt` and `sketch` change poses; `interpolation` blends them.
+`script` reads edits from files.
 """
 
 from mixseq.operations.filters import exaggerate, smooth
@@ -10,12 +10,12 @@ from mixseq.operations.handles import Handle, pose
 from mixseq.operations.limbs import exaggerate_part, hold
 from mixseq.operations.resampling import resample
 from mixseq.operations.retiming import Retiming, read_retiming, retime
-from mixseq.operations.sculpt import sculpt, swap_key
-from mixseq.operations.shape_exchange import key_poses, with_body
+from mixseq.operations.sculpt import sculpt
 from mixseq.operations.shots import Moment, find_moments, fit_shots
 from mixseq.operations.sketch import drag, sketch
 from mixseq.operations.timeline import cut, in_place, loop, repeat, reverse, shift, speed, travel_of
 from mixseq.operations.transitions import blend, concatenate, into, transition
+from mixseq.signals.shape_exchange import key_poses, with_body
 
 __all__ = [
     "Handle",
@@ -45,7 +45,6 @@ __all__ = [
     "sketch",
     "smooth",
     "speed",
-    "swap_key",
     "transition",
     "travel_of",
     "with_body",

@@ -1,9 +1,13 @@
-r"""Pose a character by handles: vertices or parts that are given positions at some times.
+r"""Pose a character by handles: vertices or parts that are given positions at some times, and parts that are turned.
 
 Poses at the times of handles are those of `mixseq.operations.pose_solvers`. Over time, the change fades in and out, and
 from key to key. Kept vertices stay on their paths: at every time, they are handles, and the faded change takes the
 place of the pose before the edit. A model of a single frame has no motion to fade into: the result goes from pose to
 pose.
+
+A part is turned by its moments :math:`\sum_i u_{ik}\, x_i / \sqrt n`, where the columns of u are the principal axes of
+its n vertices, with :math:`\sum_i u_{ik} = 0` and unit lengths. They turn as the part turns, and do not depend on where
+it is: a target is the moment before the edit, turned. Their errors are root mean square distances of vertices.
 
 *Exact* handles deform the mesh by the smoothest displacement d that moves them to their targets, the minimum of
 :math:`\int |d - l^2 \Delta d|^2`, stored as a key shape like that of a sculpted edit.
@@ -14,7 +18,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +27,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.operations.pose_solvers import PoseChange, PoseSolver, StillSolver
 from mixseq.operations.sculpt import add_key_shape, weight_sites
 from mixseq.operations.sections import (
@@ -61,39 +67,84 @@ RESIDUAL_RADIUS = 0.05
 """Radius l of the displacement at exact handles, in diagonals."""
 
 
-Keys = dict[float, tuple[list[Index], Float]]
-"""Vertices ``(n,)`` of all handles, and their targets ``(n, 3)``, by time in seconds."""
+MIN_EXTENT_RATIO = 1e-6
+"""Extent of a part along a principal axis below which it has no moment, as a fraction of the largest."""
+
+
+class Key(NamedTuple):
+    """Rows of the handles at a time."""
+
+    rows: list[sparse.csr_array]  # (1, V) weights of vertices
+    targets: Float  # (n, 3) targets of the weighted sums
+    is_free: bool  # whether they determine where bodies are
 
 
 @dataclass(frozen=True)
 class Handle:
-    """A target position of a vertex, or of the centre of a part's vertices, at a time."""
+    """A target of a vertex, or of a part, at a time: a position, or how far the part is turned, or both."""
 
     time: float  # in seconds
-    position: ArrayLike  # (3,) target in the units of the sequence
+    position: ArrayLike | None = None  # (3,) target in the units of the sequence: of the vertex, or the part's centre
     vertex: int | None = None  # number of a vertex; or of a part:
     part: int | None = None
+    # (3,) rotation of the part from its pose before the edit: degrees about the x, y and z axis, as a rotation vector;
+    # zeros keep its directions
+    rotation: ArrayLike | None = None
 
-    def vertices(self, model: Model) -> Index:
-        """Return the vertices ``(n,)`` of the handle; raise `SettingsError` if they do not exist."""
+    @property
+    def name(self) -> str:
+        """The vertex or part, for messages."""
+        return f"part {self.part}" if self.vertex is None else f"vertex {self.vertex}"
+
+    def targets(self, model: Model, points: Float) -> tuple[list[sparse.csr_array], list[Float]]:
+        """Return rows ``(1, V)`` and their targets ``(3,)``, given the points ``(V, 3)`` before the edit.
+
+        Raises `SettingsError` if the vertex or part does not exist, or has no target.
+        """
+        vertex_ids = self._vertices(model)
+        rows, targets = [], []
+        if self.position is None and self.rotation is None:
+            raise SettingsError(
+                f"the handle of {self.name} at {self.time:g} s has no position and no rotation; give one"
+            )
+        if self.position is not None:
+            rows.append(weight_row(len(points), vertex_ids, np.full(len(vertex_ids), 1.0 / len(vertex_ids))))
+            targets.append(self._numbers(self.position, "position"))
+        if self.rotation is not None:
+            rotation = rotvec_to_matrix(np.radians(self._numbers(self.rotation, "rotation")))
+            offsets = points[vertex_ids] - points[vertex_ids].mean(axis=0)
+            axes, sizes, _ = np.linalg.svd(offsets, full_matrices=False)
+            for axis in axes.T[sizes > MIN_EXTENT_RATIO * sizes[0]] / np.sqrt(len(offsets)):
+                rows.append(weight_row(len(points), vertex_ids, axis))
+                targets.append(rotation @ (axis @ offsets))
+        return rows, targets
+
+    def _vertices(self, model: Model) -> Index:
+        """Return the vertices ``(n,)`` of the handle."""
         if (self.vertex is None) == (self.part is None):
             raise SettingsError(f"the handle at {self.time:g} s has a vertex and a part, or neither; give one")
         if self.part is None:
+            if self.rotation is not None:
+                raise SettingsError(f"{self.name} cannot be turned, only a part; give the part of a rotation")
             return _check_vertices(model, [self.vertex], "handle")
         parts = model.decomposition.parts
         if not 0 <= self.part < len(parts):
             raise SettingsError(f"there is no part {self.part}; the model has {len(parts)}, from 0 on")
         return parts[self.part]
 
-    def target(self) -> Float:
-        """Return the position ``(3,)``; raise `SettingsError` if it is no point."""
-        target = np.asarray(self.position, dtype=np.float64)
-        if target.shape != (3,) or not np.isfinite(target).all():
-            name = f"part {self.part}" if self.vertex is None else f"vertex {self.vertex}"
+    def _numbers(self, values: ArrayLike, name: str) -> Float:
+        numbers = np.asarray(values, dtype=np.float64)
+        if numbers.shape != (3,) or not np.isfinite(numbers).all():
             raise SettingsError(
-                f"the handle of {name} at {self.time:g} s has the position {target}; three finite numbers are expected"
+                f"the handle of {self.name} at {self.time:g} s has the {name} {numbers}; three finite numbers are "
+                "expected"
             )
-        return target
+        return numbers
+
+
+def weight_row(count: int, vertex_ids: Index, weights: Float) -> sparse.csr_array:
+    """Return weights ``(n,)`` of some vertices as a row ``(1, V)``."""
+    return sparse.csr_array((weights, (np.zeros_like(vertex_ids), vertex_ids)), shape=(1, count))
 
 
 def _check_vertices(model: Model, vertex_ids: Sequence[int | None], name: str) -> Index:
@@ -102,6 +153,12 @@ def _check_vertices(model: Model, vertex_ids: Sequence[int | None], name: str) -
         if not (isinstance(vertex, int | np.integer) and 0 <= vertex < count):
             raise SettingsError(f"{name}: there is no vertex {vertex}; the model has {count:,}, from 0 on")
     return np.array(vertex_ids, dtype=np.int64)
+
+
+def _kept_rows(model: Model, keep: Sequence[int]) -> list[sparse.csr_array]:
+    """Return a row ``(1, V)`` for every kept vertex."""
+    ids = _check_vertices(model, keep, "keep")
+    return [weight_row(model.header.vertex_count, vertex_ids, np.ones(1)) for vertex_ids in ids[:, None]]
 
 
 @public
@@ -129,7 +186,7 @@ def pose(
     model : Model
         A model in the mixed space with anchored parts; that of a single frame needs two parts or more.
     handles : sequence of Handle
-        Target positions of vertices or parts, at one or several times.
+        Target positions of vertices or parts, and rotations of parts in degrees, at one or several times.
     keep : sequence of int
         Vertices that stay on their paths while the change lasts, such as those of planted feet.
     start, end : float, optional
@@ -149,8 +206,8 @@ def pose(
     Raises
     ------
     SettingsError
-        If a vertex, part or time does not exist, a position is not finite, a vertex or part has two targets at a time,
-        or the model has no parts, or is a still of one part.
+        If a vertex, part or time does not exist, a handle has no target, or one that is not finite, a vertex or part
+        has two handles at a time, or the model has no parts, or is a still of one part.
 
     Warns
     -----
@@ -159,27 +216,56 @@ def pose(
     """
     if not (np.isfinite(softness) and softness > 0):
         raise SettingsError(f"softness is {softness}; a positive number of diagonals is expected")
-    kept = [ids[None] for ids in _check_vertices(model, keep, "keep")]
-    keys = _sort_by_time(model, handles, kept)
-    is_free = {time: len(groups) >= MIN_HANDLES_OF_FREE_BODY for time, (groups, _) in keys.items()}
-    if move_bodies is not None:
-        is_free = dict.fromkeys(keys, move_bodies)
+    kept = _kept_rows(model, keep)
+    keys = _sort_by_time(model, handles, kept, move_bodies)
     if len(model.times) == 1:
         if not (start is end is fade is None):
             raise SettingsError("the model is a still, with no motion to fade into; leave out start, end and fade")
-        stills = [StillSolver(model, groups, softness, is_free[time]) for time, (groups, _) in keys.items()]
+        stills = [StillSolver(model, key.rows, softness, key.is_free) for key in keys.values()]
         return _pose_still(model, keys, stills, exact)
     weights = _KeyWeights.from_times(model, np.array(list(keys)), start, end, fade)
-    solvers = [PoseSolver(model, groups, softness, is_free[time]) for time, (groups, _) in keys.items()]
-    changes = [solver.solve(time, targets) for solver, (time, (_, targets)) in zip(solvers, keys.items(), strict=True)]
+    solvers = [PoseSolver(model, key.rows, softness, key.is_free) for key in keys.values()]
+    changes = [solver.solve(time, key.targets) for solver, (time, key) in zip(solvers, keys.items(), strict=True)]
     posed = _fade_changes(model, weights, solvers, changes, kept)
-    for number, (time, (_, targets)) in enumerate(keys.items()):
+    for number, (time, key) in enumerate(keys.items()):
         points = posed(time)
-        edited = _reach(model, solvers[number], time, points, targets, exact)
+        edited = _reach(model, solvers[number], time, points, key.targets, exact)
         if exact:
             difference = posed.space.shape_difference(posed.curve([time])[0], points, edited)
             posed = add_key_shape(posed, difference, weights.curve(posed, number))
     return posed
+
+
+class DraggedPose:
+    """Poses of a model at one time while its handles are dragged: each is solved from the one before, in one round."""
+
+    def __init__(self, model: Model, handles: Sequence[Handle], keep: Sequence[int] = (), exact: bool = False) -> None:
+        """Take handles at one time, whose positions will change, and the other arguments of `pose`."""
+        kept = _kept_rows(model, keep)
+        ((time, key),) = _sort_by_time(model, handles, kept, None).items()
+        is_still = len(model.times) == 1
+        solver: Any = StillSolver if is_still else PoseSolver
+        self.model = model
+        self._solver = solver(model, key.rows, DEFAULT_SOFTNESS, key.is_free)
+        self._time = () if is_still else (time,)
+        self._kept_targets = key.targets[len(key.targets) - len(kept) :]
+        self._pose = self._solver.unchanged()
+        before = self._solver.points(*self._time, self._pose)
+        self._basis = displacement_basis(model, key.rows, before) if exact else None
+
+    def points(self, targets: Float) -> Float:
+        """Return the points ``(V, 3)`` with handles at targets ``(n, 3)``."""
+        targets = np.concatenate([targets, self._kept_targets])
+        self._pose = self._solver.solve(*self._time, targets, start=self._pose, rounds=1)
+        points = self._solver.points(*self._time, self._pose)
+        if self._basis is not None:
+            points = points + self._basis @ (targets - self._solver.positions(points))
+        return np.asarray(points)
+
+    def moved_model(self) -> Model:
+        """Return the model with the change of the last pose at all times, which moves all bodies."""
+        moved: Model = self._solver.moved_model(self._pose)
+        return moved
 
 
 def _reach(
@@ -188,7 +274,7 @@ def _reach(
     """Return the points ``(V, 3)`` deformed so that handles are exact, if asked for; otherwise warn of misses."""
     misses = targets - solver.positions(points)
     if exact:
-        return points + interpolate_displacements(model, solver.groups, points, misses)
+        return points + displacement_basis(model, solver.rows, points) @ misses
     if (miss := float(np.linalg.norm(misses, axis=1).max()) / model.space.scale) > MAX_SILENT_MISS:
         warnings.warn(
             f"at {time:g} s a handle misses its target by {miss:.2g} diagonals, where the poses of the model do "
@@ -199,21 +285,21 @@ def _reach(
     return points
 
 
-def _pose_still(model: Model, keys: Keys, solvers: Sequence[StillSolver], exact: bool) -> Model:
+def _pose_still(model: Model, keys: dict[float, Key], solvers: Sequence[StillSolver], exact: bool) -> Model:
     """Fit a model to a still at its time and to its poses with handles at targets."""
-    if model.bodies:
-        raise SettingsError("the model is a still of several bodies; pose one of them, and then give it the others")
     poses = {float(model.times[0]): model(model.start)}
-    for solver, (time, (_, targets)) in zip(solvers, keys.items(), strict=True):
-        poses[time] = _reach(model, solver, time, solver.solve(targets), targets, exact)
+    for solver, (time, key) in zip(solvers, keys.items(), strict=True):
+        poses[time] = _reach(model, solver, time, solver.points(solver.solve(key.targets)), key.targets, exact)
     times = np.array(sorted(poses))
     header = replace(model.header, times=times, provenance=as_edited(model.header.provenance))
     frames = MeshSequence.from_header(header, np.stack([poses[time] for time in times.tolist()]))
     return fit(frames, exact=True, parts=model.parts)
 
 
-def _sort_by_time(model: Model, handles: Sequence[Handle], kept: Sequence[Index]) -> Keys:
-    """Return vertices and targets ``(n, 3)`` of the handles and kept vertices, by increasing time."""
+def _sort_by_time(
+    model: Model, handles: Sequence[Handle], kept: Sequence[sparse.csr_array], move_bodies: bool | None
+) -> dict[float, Key]:
+    """Return the rows of handles, followed by those of kept vertices, by increasing time."""
     if not handles:
         raise SettingsError("there are no handles; give one or more")
     by_time: dict[float, list[Handle]] = {}
@@ -221,14 +307,18 @@ def _sort_by_time(model: Model, handles: Sequence[Handle], kept: Sequence[Index]
         by_time.setdefault(_key_time(model, handle.time), []).append(handle)
     result = {}
     for time, at_time in sorted(by_time.items()):
-        names = [("part", handle.part) if handle.vertex is None else ("vertex", handle.vertex) for handle in at_time]
-        names += [("vertex", int(ids[0])) for ids in kept]
-        for name, number in names:
-            if names.count((name, number)) > 1:
-                raise SettingsError(f"{name} {number} has two targets at {time:g} s; leave one out")
+        names = [handle.name for handle in at_time] + [f"vertex {row.indices[0]}" for row in kept]
+        for name in names:
+            if names.count(name) > 1:
+                raise SettingsError(f"{name} has two targets at {time:g} s; leave one out")
         points = model(np.clip(time, model.start, model.end))
-        targets = [handle.target() for handle in at_time] + [points[ids[0]] for ids in kept]
-        result[time] = [handle.vertices(model) for handle in at_time] + list(kept), np.array(targets)
+        rows, targets = map(
+            chain.from_iterable, zip(*(handle.targets(model, points) for handle in at_time), strict=True)
+        )
+        placed = sum(handle.position is not None for handle in at_time) + len(kept)
+        is_free = placed >= MIN_HANDLES_OF_FREE_BODY if move_bodies is None else move_bodies
+        kept_points = (points[row.indices[0]] for row in kept)
+        result[time] = Key([*rows, *kept], np.array([*targets, *kept_points]), is_free)
     return result
 
 
@@ -293,14 +383,14 @@ def _fade_changes(
     weights: _KeyWeights,
     solvers: Sequence[PoseSolver],
     changes: Sequence[PoseChange],
-    kept: Sequence[Index],
+    kept: Sequence[sparse.csr_array],
 ) -> Model:
     """Return the model with the changes at all times, faded; kept vertices stay on their paths."""
     solver, dim = solvers[0], model.time.dim
     scores, moves = (np.stack(arrays) for arrays in zip(*changes, strict=True))
-    groups = {tuple(ids.tolist()): ids for each in solvers for ids in each.groups}
-    keeper = PoseSolver(model, list(groups.values()), solver.softness, any(each.is_free for each in solvers))
-    kept_mask = np.array([any(ids is each for each in kept) for ids in groups.values()])
+    distinct = {(row.indices.tobytes(), row.data.tobytes()): row for each in solvers for row in each.rows}
+    keeper = PoseSolver(model, list(distinct.values()), solver.softness, any(each.is_free for each in solvers))
+    kept_mask = np.array([any(row is each for each in kept) for row in distinct.values()])
 
     def signal(times: Float) -> Float:
         rows = []
@@ -329,13 +419,10 @@ def _fade_changes(
     return model.edited(time=time, placement=splice(model, model.placement, Curve(curve.times, curve.values[:, dim:])))
 
 
-def interpolate_displacements(model: Model, groups: Sequence[Index], points: Float, moves: Float) -> Float:
-    """Return the smoothest displacements ``(V, 3)`` of points ``(V, 3)`` that move handles by ``(n, 3)``."""
+def displacement_basis(model: Model, rows: Sequence[sparse.csr_array], points: Float) -> Float:
+    """Return weights ``(V, n)`` whose products with moves ``(n, 3)`` of handles are the smoothest displacements."""
     diffusion = Diffusion(points / model.space.scale, model.mixed.topology)
     factor = splu(sparse.csc_array(sparse.diags_array(diffusion.areas) + RESIDUAL_RADIUS**2 * diffusion.laplacian))
-    means = np.zeros((len(points), len(groups)))
-    for column, vertex_ids in zip(means.T, groups, strict=True):
-        column[vertex_ids] = 1.0 / len(vertex_ids)
-    spread = factor.solve(means)
+    spread = factor.solve(np.concatenate([row.toarray() for row in rows]).T)
     loads = diffusion.areas[:, None] * spread
-    return np.asarray(factor.solve(loads @ np.linalg.solve(spread.T @ loads, moves)))
+    return np.asarray(np.linalg.solve(spread.T @ loads, factor.solve(loads).T).T)

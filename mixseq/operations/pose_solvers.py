@@ -1,5 +1,8 @@
 r"""Poses from positions of handles: points of pose space, or of a still mesh, whose parts turn about their joints.
 
+A handle is a row of weights of the vertices, whose weighted sum is to reach a target: that of a vertex or of the centre
+of a part, or the sums by which `mixseq.operations.handles` describes how a part is turned.
+
 *Models of several frames.* Positions :math:`x_i` of handles depend on a point c of pose space, where the frames have
 the covariance :math:`\Sigma`, and on the placement b. With targets :math:`y_i`, and the pose :math:`c_0` and placement
 :math:`b_0` before the edit, the solution minimises
@@ -36,6 +39,7 @@ from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from scipy import sparse
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.rotations import (
@@ -47,6 +51,7 @@ from mixseq.mesh.rotations import (
     rotvec_to_matrix,
     rotvec_to_quat,
 )
+from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.spaces.mixed.joint_projection import from_complex_step, to_complex_step
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
@@ -112,16 +117,16 @@ class PoseChange(NamedTuple):
 
 
 class PoseSolver:
-    """Solver for poses of a model from positions of handles, means of groups of vertices."""
+    """Solver for poses of a model from positions of handles, weighted sums of vertices."""
 
-    def __init__(self, model: Model, groups: Sequence[Index], softness: float, is_free: bool) -> None:
-        """Take the vertices ``(n,)`` of every handle, the softness in diagonals, and whether bodies move, too."""
-        self.model, self.groups, self.softness, self.is_free = model, groups, softness, is_free
+    def __init__(self, model: Model, rows: Sequence[sparse.csr_array], softness: float, is_free: bool) -> None:
+        """Take the weights ``(1, V)`` of every handle, the softness in diagonals, and whether bodies move, too."""
+        self.model, self.rows, self.softness, self.is_free = model, rows, softness, is_free
         self.space = _anchored_space(model)
         if not len(self.directions):
             raise SettingsError("the model has a single pose, so that there are no others to find by handles")
-        self._vertex_ids = np.unique(np.concatenate(groups))
-        self._means = np.stack([np.isin(self._vertex_ids, ids) / len(ids) for ids in groups])
+        self._vertex_ids: Index = np.unique(np.concatenate([row.indices for row in rows]))
+        self._sums = np.concatenate([row[:, self._vertex_ids].toarray() for row in rows])
         self._skinned, self._columns = self.space.at_vertices(self._vertex_ids)
         shapes = model.shapes[:, self._columns[self._columns < self.space.shape_dim]]
         self._shape_steps = self.directions @ model.pose.matrix @ (shapes - shapes[0])  # (r, S')
@@ -155,9 +160,18 @@ class PoseSolver:
         weights = self.model.pose.weights(point)
         return np.concatenate([weights @ self.model.shapes, placement[None], self.model.correction([time])], axis=1)
 
+    def moved_model(self, change: PoseChange) -> Model:
+        """Return the model with a change at all times."""
+        time, placement = self.model.time, self.model.placement
+        placements = np.stack([self.placement(each, change.moves) for each in placement.values])
+        return self.model.edited(
+            time=Curve(time.times, time.values + change.scores @ self.directions),
+            placement=Curve(placement.times, placements),
+        )
+
     def positions(self, points: Float) -> Float:
         """Return the positions ``(..., n, 3)`` of handles in meshes ``(..., V, 3)``."""
-        return np.asarray(self._means @ points[..., self._vertex_ids, :])
+        return np.asarray(self._sums @ points[..., self._vertex_ids, :])
 
     def points(self, time: float, change: PoseChange) -> Float:
         """Return the decoded points ``(V, 3)`` of a change at a time; those of the last change are kept."""
@@ -192,8 +206,8 @@ class PoseSolver:
         """Return the displacements ``(n, 3)`` of handles by the projection of joints, in diagonals."""
         projection = self.space.projection
         if not (projection.steps or (projection.share and self.space.joint_faces.any())):
-            return np.zeros((len(self.groups), 3))
-        skinned = self._means @ self._skinned.skin(self.vectors(time, change)[:, self._columns])[0]
+            return np.zeros((len(self.rows), 3))
+        skinned = self._sums @ self._skinned.skin(self.vectors(time, change)[:, self._columns])[0]
         return np.asarray(self.positions(self.points(time, change)) / self.space.scale - skinned)
 
     def _minimise(self, time: float, targets: Float, prior: PoseChange, change: PoseChange) -> PoseChange:
@@ -212,7 +226,7 @@ class PoseSolver:
 
         def residuals(change: PoseChange) -> Float:
             points = self._skinned.skin(vector(change)[None])[0]
-            misses = (self._means @ points - targets).reshape(-1) / self.softness
+            misses = (self._sums @ points - targets).reshape(-1) / self.softness
             steps = np.append(change.scores - prior.scores, change.moves - prior.moves)[: len(weights)]
             return np.append(misses, weights * steps)
 
@@ -220,7 +234,7 @@ class PoseSolver:
             at = vector(change)
             rates[pose_count:, placement] = self._move_rates(at[placement])[: len(weights) - pose_count]
             slopes = from_complex_step(self._skinned.skin(to_complex_step(at, rates)))[1]
-            slopes = (self._means @ slopes).reshape(len(weights), -1) / self.softness
+            slopes = (self._sums @ slopes).reshape(len(weights), -1) / self.softness
             return np.concatenate([slopes.T, np.diag(weights)])
 
         return minimise(change, residuals, jacobian, self._after_step)
@@ -253,12 +267,14 @@ class JointRotations(NamedTuple):
 
 
 class StillSolver:
-    """Solver for poses of a model of a single frame from positions of handles, means of groups of vertices."""
+    """Solver for poses of a model of a single frame from positions of handles, weighted sums of vertices."""
 
-    def __init__(self, model: Model, groups: Sequence[Index], softness: float, is_free: bool) -> None:
-        """Take the vertices ``(n,)`` of every handle, the softness in diagonals, and whether bodies move, too."""
-        self.model, self.groups, self.softness, self.space = model, groups, softness, _anchored_space(model)
+    def __init__(self, model: Model, rows: Sequence[sparse.csr_array], softness: float, is_free: bool) -> None:
+        """Take the weights ``(1, V)`` of every handle, the softness in diagonals, and whether bodies move, too."""
+        self.model, self.rows, self.softness, self.space = model, rows, softness, _anchored_space(model)
         self.tree = self.space.articulation
+        if model.bodies:
+            raise SettingsError("the model is a still of several bodies; pose one of them, and then give it the others")
         if len(self.space.decomposition.parts) == 1:
             raise SettingsError(
                 "the model is a still of one part, which cannot bend; fit it with parts=, a number or labels of faces"
@@ -275,30 +291,47 @@ class StillSolver:
         radii = self.tree.body_radii[self.tree.body_of_part]
         self._weights = np.where(self.is_root, radii, 1.0 / JOINT_DEVIATION)
         points = model(model.start) / self.space.scale
-        weights = [self.space.skinning_weights[ids].toarray() / len(ids) for ids in groups]
-        self._loads = np.stack([each.sum(axis=0) for each in weights])  # (n, p) weights of parts at handles
-        moments = [each.T @ points[ids] for each, ids in zip(weights, groups, strict=True)]
-        self._moments = np.stack(moments)  # (n, p, 3) weighted sums of positions
+        by_part = [row.T.multiply(self.space.skinning_weights) for row in rows]  # (V, p) each
+        self._loads = np.stack([each.sum(axis=0) for each in by_part])  # (n, p) weights of parts at handles
+        self._moments = np.stack([each.T @ points for each in by_part])  # (n, p, 3) weighted sums of positions
+        self._decoded: tuple[JointRotations | None, Float] = (None, np.empty((0, 3)))
 
     def positions(self, points: Float) -> Float:
         """Return the positions ``(n, 3)`` of handles in a mesh ``(V, 3)``."""
-        return np.stack([points[ids].mean(axis=0) for ids in self.groups])
+        return np.concatenate([row @ points for row in self.rows])
 
-    def solve(self, targets: Float) -> Float:
-        """Solve for the points ``(V, 3)`` whose handles are at targets ``(n, 3)``, in the units of the sequence."""
-        count, scale = len(self.is_root), self.space.scale
-        pose = JointRotations(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)))
-        points, offsets = self.points(pose), np.zeros((len(targets), 3))
-        for _ in range(MAX_PROJECTION_ROUNDS):
-            pose = self._minimise(targets / scale - offsets, pose)
-            points = self.points(pose)
-            previous, offsets = offsets, self.positions(points) / scale - self.skin(pose).sum(axis=1)
+    def unchanged(self) -> JointRotations:
+        """Return the pose of the still mesh."""
+        count = len(self.is_root)
+        return JointRotations(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)))
+
+    def solve(
+        self, targets: Float, start: JointRotations | None = None, rounds: int = MAX_PROJECTION_ROUNDS
+    ) -> JointRotations:
+        """Solve for the pose whose handles are at targets ``(n, 3)``, in the units of the sequence.
+
+        Iterations start from the still mesh, or from another pose, as those of `PoseSolver.solve`.
+        """
+        pose = start or self.unchanged()
+        offsets = self._joint_offsets(pose)
+        for _ in range(rounds):
+            pose = self._minimise(targets / self.space.scale - offsets, pose)
+            previous, offsets = offsets, self._joint_offsets(pose)
             if np.abs(offsets - previous).max() <= PROJECTION_TOLERANCE:
                 break
-        return points
+        return pose
+
+    def _joint_offsets(self, pose: JointRotations) -> Float:
+        """Return the displacements ``(n, 3)`` of handles by the projection of joints, in diagonals."""
+        return np.asarray(self.positions(self.points(pose)) / self.space.scale - self.skin(pose).sum(axis=1))
 
     def points(self, pose: JointRotations) -> Float:
-        """Return the projected points ``(V, 3)`` of a pose, in the units of the sequence."""
+        """Return the projected points ``(V, 3)`` of a pose, in the units of the sequence; the last are kept."""
+        if self._decoded[0] is not pose:
+            self._decoded = pose, self._decode(pose)
+        return self._decoded[1]
+
+    def _decode(self, pose: JointRotations) -> Float:
         rotations, shifts = self.motions(pose)
         centres = rotate_vectors(rotations, self.tree.rest_centres) + shifts
         world = Poses(matrix_to_quat(rotations)[None], centres[None])

@@ -217,7 +217,7 @@ def _read_handles(value: Any, folder: Path, readers: Readers) -> list[Handle]:
         except ValueError:
             raise FormatError(f"{path} is not CSV with time,vertex,x,y,z on each line") from None
     for table in value:
-        if not isinstance(table, dict) or {"time", "position"} - set(table) or set(table) - set(_HANDLE_TYPES):
+        if not isinstance(table, dict) or "time" not in table or set(table) - set(_HANDLE_TYPES):
             raise WrongTypeError
         if not all(_matches(entry, _HANDLE_TYPES[name]) for name, entry in table.items()):
             raise WrongTypeError
@@ -228,8 +228,10 @@ def _handles_in_seconds(value: list[Handle], header: SequenceHeader, unit: Unit)
     return [replace(handle, time=_number_in_seconds(handle.time, header, unit)) for handle in value]
 
 
-_HANDLE_TYPES = {"time": float, "position": list[float], "vertex": int, "part": int}
-_HANDLES_TEXT = "tables of time, position and vertex or part, or a CSV file of time,vertex,x,y,z,"
+_HANDLE_TYPES = {"time": float, "position": list[float], "vertex": int, "part": int, "rotation": list[float]}
+_HANDLES_TEXT = (
+    "tables of time, vertex or part, and position or rotation of the part, or a CSV file of time,vertex,x,y,z,"
+)
 _KEYS_TEXT = "pairs of output and source times, as a list or a CSV or TOML file,"
 _WEIGHT_TEXT = "a number, or pairs of time and weight as a list or a CSV file,"
 
@@ -265,7 +267,6 @@ OPERATIONS: Mapping[str, str] = {
     "pose": "handles:pose",
     "drag": "sketch:drag",
     "sketch": "sketch:sketch",
-    "swap_key": "sculpt:swap_key",
 }
 """Module and function of every operation by name. Modules are imported on first use."""
 

@@ -1,4 +1,4 @@
-r"""Apply a manual edit of one frame over time, or to a key shape.
+r"""Apply a manual edit of one frame over time.
 
 The shape space gives the difference :math:`\Delta` between the mesh at a time and the edited mesh
 (`ShapeSpace.shape_difference`). It is independent of the placement of parts, so it can be added to any frame:
@@ -58,44 +58,6 @@ def encode_edit(model: Model, time: float, points: ArrayLike | MeshSequence) -> 
     edited, original = check_edited_points(points, model.header), model(time)
     _warn_of_large_edit(original, edited, time)
     return model.space.shape_difference(model.curve([time])[0], original, edited)
-
-
-@public
-def swap_key(model: Model, key: int, points: FileOr[ArrayLike | MeshSequence]) -> Model:
-    """Replace a key shape by an edited mesh.
-
-    Key shapes of the model must be frames, as after ``mixseq.fit(sequence, pose="keys")``. Every frame follows the
-    edit in proportion to its weight of the key shape.
-
-    Parameters
-    ----------
-    model : Model
-        The motion.
-    key : int
-        Number of the key shape, counted from 0, see `Model.key_frames`.
-    points : (V, 3) array_like or MeshSequence of one frame
-        The key shape's frame with edited vertices, in the units of the sequence.
-
-    Raises
-    ------
-    SettingsError
-        If the key shape does not exist, or is not a frame of the model.
-    InvalidSequenceError
-        If the points do not belong to the mesh, or are not finite.
-    """
-    points = cast("ArrayLike | MeshSequence", points)
-    if not 0 <= key < len(model.shapes):
-        raise SettingsError(f"key is {key}; the model has key shapes 0 to {len(model.shapes) - 1}")
-    frame = int(model.key_frames[key])
-    if frame < 0:
-        raise SettingsError(
-            f"key shape {key} is no frame of the model; fit one with pose='keys', or sculpt a frame instead"
-        )
-    time = float(model.times[frame])
-    difference = encode_edit(model, time, points)
-    shapes = np.array(model.shapes)
-    shapes[key] += difference
-    return model.edited(shapes=shapes)
 
 
 def check_edited_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> Float:

@@ -10,7 +10,10 @@ is the root mean square over a window d,
 .. math:: D(t, u)^2 = \frac{1}{d} \int_0^d | c_a(t + x) - c_b(u + x) |^2 \, dx ,
 
 so that poses and velocities are alike where it is small. The norm is that of shapes, in diagonals. It depends neither
-on the place nor on the heading of bodies. Moments are local minima of D over the frames.
+on the place nor on the heading of bodies. A small distance does not exclude that a blend of both strains the mesh where
+parts are turned differently. So the strain S(t, u) is measured in the middle of the window: the root mean square over
+the edges of what their length in a blend of equal weights is longer or shorter than in both, relative to these. Moments
+are local minima of :math:`\sqrt{D^2 + S^2}` over the frames.
 """
 
 from __future__ import annotations
@@ -24,8 +27,11 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial.distance import cdist
 
 from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.mesh.measures import edge_lengths, element_blocks
+from mixseq.mesh.topology import Topology
 from mixseq.operations.timeline import cut, shift
 from mixseq.operations.transitions import match_spaces
+from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, Seconds
 from mixseq.sequence.sequence import MeshSequence
@@ -36,6 +42,12 @@ from mixseq.types import Float
 WINDOW_SAMPLES = 5
 """Number of poses that are compared in a window."""
 
+MAX_BLENDED_VERTICES = 1 << 21
+"""Number of vertices of all blends whose strain is measured, those of least distance first; takes about a second."""
+
+MIN_EDGE_LENGTH = 1e-6
+"""Length in diagonals below which edges of blends are not measured."""
+
 
 class Moment(NamedTuple):
     """A moment at which two motions are alike."""
@@ -43,6 +55,7 @@ class Moment(NamedTuple):
     leave: float  # time in the first motion, in seconds
     enter: float  # time in the second motion, in seconds
     distance: float  # root mean square distance of both in the window that follows, in diagonals
+    strain: float  # root mean square relative change of edge lengths by a blend in the middle of the window
 
 
 @public
@@ -107,7 +120,7 @@ def find_moments(
 ) -> tuple[Moment, ...]:
     """Find the moments to leave one motion and enter another, or to go back in the same motion, best first.
 
-    ``transition(a, cut(b, moment.enter, b.end), at=moment.leave, duration=duration)`` goes from one to the other.
+    ``transition(a, b, at=moment.leave, enter=moment.enter, duration=duration)`` goes from one to the other.
     Within a motion, the section from `enter` to `leave` is a cycle for `loop` and `repeat`.
 
     Parameters
@@ -154,18 +167,44 @@ def find_moments(
     distances = cdist(first, second) / np.sqrt(WINDOW_SAMPLES)
     if is_cycle:
         distances[leave[:, None] - enter < 2 * duration] = np.inf
-    is_minimum = np.isfinite(distances) & (distances <= minimum_filter(distances, size=3, mode="nearest"))
-    rows, columns = np.nonzero(is_minimum)
-    order = np.argsort(distances[rows, columns], kind="stable")
+    strains = _blend_strains(a, b, leave + duration / 2, enter + duration / 2, distances)
+    costs = np.hypot(distances, strains)
+    rows, columns = np.nonzero(np.isfinite(costs) & (costs <= minimum_filter(costs, size=3, mode="nearest")))
+    order = np.argsort(costs[rows, columns], kind="stable")
     moments: list[Moment] = []
     for i, j in zip(rows[order], columns[order], strict=True):
-        moment = Moment(float(leave[i]), float(enter[j]), float(distances[i, j]))
+        moment = Moment(float(leave[i]), float(enter[j]), float(distances[i, j]), float(strains[i, j]))
         near = (max(abs(moment.leave - each.leave), abs(moment.enter - each.enter)) < duration for each in moments)
         if not any(near):
             moments.append(moment)
         if len(moments) == count:
             break
     return tuple(moments)
+
+
+def _blend_strains(a: Model, b: Model, times: Float, other_times: Float, distances: Float) -> Float:
+    """Return the strains ``(n, m)`` of blends of two models at times ``(n,)``, ``(m,)``; infinite if not measured."""
+    space, edges = a.space, Topology(a.header.faces, a.header.vertex_count).edges
+    placed = slice(space.shape_dim, space.shape_dim + space.placement_dim)
+
+    def measure(vectors: Float) -> Float:
+        return np.maximum(edge_lengths(space.decode(vectors), edges) / space.scale, MIN_EDGE_LENGTH)
+
+    vectors, other_vectors = a.curve(times), b.curve(other_times)
+    vectors[:, placed] = other_vectors[:, placed] = vectors[0, placed]
+    strains = np.full(distances.shape, np.inf)
+    pairs = np.argsort(distances, axis=None, kind="stable")[: np.isfinite(distances).sum()]
+    pairs = pairs[: max(1, MAX_BLENDED_VERTICES // a.header.vertex_count)]
+    with one_blas_thread():
+        lengths, other_lengths = measure(vectors), measure(other_vectors)
+        for block in element_blocks(len(pairs), len(edges)):
+            i, j = np.unravel_index(pairs[block], strains.shape)
+            blended = measure(0.5 * (vectors[i] + other_vectors[j]))
+            longer = blended / np.maximum(lengths[i], other_lengths[j]) - 1.0
+            shorter = 1.0 - blended / np.minimum(lengths[i], other_lengths[j])
+            excess = np.maximum(0.0, np.maximum(longer, shorter))
+            strains[i, j] = np.sqrt(np.square(excess).mean(axis=1))
+    return strains
 
 
 def _windows(model: Model, duration: float) -> tuple[Float, Float]:

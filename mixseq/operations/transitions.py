@@ -37,7 +37,7 @@ from mixseq.operations.sections import (
     snap_time,
     subdivide,
 )
-from mixseq.operations.timeline import ground_drift, ground_position, translate
+from mixseq.operations.timeline import cut, ground_drift, ground_position, translate
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, Seconds
@@ -166,7 +166,14 @@ def concatenate(a: FileOr[Model], b: FileOr[Model], fade: Seconds | None = None,
 
 
 @public
-def transition(a: FileOr[Model], b: FileOr[Model], at: Seconds, duration: Seconds, travel: bool = False) -> Model:
+def transition(
+    a: FileOr[Model],
+    b: FileOr[Model],
+    at: Seconds,
+    duration: Seconds,
+    travel: bool = False,
+    enter: Seconds | None = None,
+) -> Model:
     """Blend from one model into another.
 
     Parameters
@@ -181,6 +188,8 @@ def transition(a: FileOr[Model], b: FileOr[Model], at: Seconds, duration: Second
     travel : bool
         Continue `b` from the ground position that `a` reaches, with unchanged heading and height. The ground speed is
         blended (`mixseq.operations.timeline`). By default `b` keeps its position.
+    enter : float, optional
+        Time in `b` that is played at the time `at`, in seconds; by default its start.
 
     Raises
     ------
@@ -191,6 +200,8 @@ def transition(a: FileOr[Model], b: FileOr[Model], at: Seconds, duration: Second
     """
     a = cast("Model", a)
     b = cast("Model", b)
+    if enter is not None:
+        b = cut(b, enter, b.end)
     if not (np.isfinite(duration) and duration > 0):
         raise SettingsError(f"duration is {duration}; a positive number of seconds is expected")
     a, b = match_spaces(a, b)

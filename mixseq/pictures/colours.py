@@ -25,7 +25,7 @@ largest share of the sum, until there are 256 boxes. Each box is shown in its me
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from heapq import heappop, heappush
@@ -328,22 +328,21 @@ def available_colourings(
 
     `diagonal` is that of the original, by default of its first pose.
     """
-    is_available: dict[Colour, bool] = {
-        "own": header.surface.colours is not None,
-        "parts": decomposition is not None,
-        "error": original is not None,
-        "values": values is not None,
-    }
     colourings: dict[str, Colouring] = {
         name: make_colouring(name, header, rest, decomposition, original, diagonal, values)
-        for name in COLOURS
-        if is_available.get(name, True)
+        for name in _colour_names(header, decomposition, original, values)
     }
     measured = {name: colouring for name, colouring in colourings.items() if not colouring.is_constant}
     tops = {name: colouring.top for name, colouring in measured.items()}
     for elapsed, points in poses:
         tops = {name: max(tops[name], measured[name].scale_end(points, elapsed)) for name in measured}
     return colourings | {name: measured[name].with_top(top) for name, top in tops.items()}
+
+
+def _colour_names(header: SequenceHeader, decomposition: object, original: object, values: object) -> Iterator[Colour]:
+    """Yield the names of the colourings that a mesh has."""
+    needs = {"own": header.surface.colours, "parts": decomposition, "error": original, "values": values}
+    return (name for name in COLOURS if needs.get(name, True) is not None)
 
 
 def make_colouring(
@@ -470,13 +469,12 @@ class SceneColours:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the colourings that at least one mesh has."""
-        is_available = {
-            "own": any(item.header.surface.colours is not None for item in self.scene.items),
-            "parts": any(item.decomposition is not None for item in self.scene.items),
-            "error": any(self._original_of(item) is not None for item in self.scene.items),
-            "values": any(item.values is not None for item in self.scene.items),
+        names = {
+            name
+            for item in self.scene.items
+            for name in _colour_names(item.header, item.decomposition, self._original_of(item), item.values)
         }
-        return tuple(name for name in COLOURS if is_available.get(name, True))
+        return tuple(sorted(names, key=COLOURS.index))
 
     def of_mesh(self, index: int) -> dict[str, Colouring]:
         """Return all colourings of a mesh by name."""
@@ -513,6 +511,17 @@ class SceneColours:
             return None
         pose = SceneItem("the original", self.original).pose
         return lambda elapsed: pose(elapsed)[vertex_ids]
+
+
+def match_original(header: SequenceHeader, other: SequenceHeader, name: str) -> Index:
+    """Return the vertices of a mesh in the order of the named one; raise SettingsError if it is not the same."""
+    vertex_ids = match_vertices(header, other)
+    if vertex_ids is None:
+        raise SettingsError(
+            f"{name} has {len(other.faces)} triangles of {other.vertex_count} vertices, what it is compared with "
+            f"{len(header.faces)} of {header.vertex_count}, or other faces; errors need the same topology"
+        )
+    return vertex_ids
 
 
 def check_original(scene: Scene, original: FrameStore) -> None:

@@ -15,10 +15,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from mixseq.choices import COLOURS, Colour
-from mixseq.compression.numbering import match_vertices
 from mixseq.errors import SettingsError
 from mixseq.pictures.charts import import_matplotlib
-from mixseq.pictures.colours import Colouring, ReferencePose, format_two_digits, make_colouring
+from mixseq.pictures.colours import Colouring, ReferencePose, format_two_digits, make_colouring, match_original
 from mixseq.pictures.film_encoding import check_film, encode_film, film_format, import_pillow
 from mixseq.pictures.raster import Picture, blank_picture, render_mesh
 from mixseq.pictures.scene import (
@@ -164,13 +163,7 @@ def _colourings(
 
 def _reference_pose(item: SceneItem, original: SceneItem) -> ReferencePose:
     """Return the pose of the original in the numbers of an item; raise SettingsError if it is another mesh."""
-    header, reference = item.header, original.header
-    vertex_ids = match_vertices(reference, header)
-    if vertex_ids is None:
-        raise SettingsError(
-            f"{item} has {len(header.faces)} triangles of {header.vertex_count} vertices, the original "
-            f"{len(reference.faces)} of {reference.vertex_count}, or other faces; errors need the same topology"
-        )
+    vertex_ids = match_original(original.header, item.header, str(item))
     return lambda elapsed: original.exact_pose(elapsed)[vertex_ids]
 
 

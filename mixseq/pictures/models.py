@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 
 from mixseq.choices import PICTURES, PictureKind
-from mixseq.compression.numbering import match_vertices
 from mixseq.errors import SettingsError
 from mixseq.pictures.charts import (
     LINE_COLOURS,
@@ -38,6 +37,7 @@ from mixseq.pictures.charts import (
 from mixseq.pictures.colours import (
     JOINT_RED,
     check_values,
+    match_original,
     part_colours,
     segmentation_colours,
     value_range,
@@ -79,12 +79,7 @@ def vertex_errors(
     model: Model, original: MeshSequence, frames: Sequence[int] = (), progress: Progress = log_progress
 ) -> VertexErrors:
     """Compute the vertex errors of a model at the frame times of its original."""
-    vertex_ids = match_vertices(model.header, original)
-    if vertex_ids is None:
-        raise SettingsError(
-            f"the model has {len(model.header.faces)} triangles of {model.header.vertex_count} vertices, the sequence "
-            f"{len(original.faces)} of {original.vertex_count}, or other faces; errors need the same topology"
-        )
+    vertex_ids = match_original(model.header, original, "the sequence")
     diagonal = original.diagonal or 1.0
     largest, rms = np.zeros(original.frame_count), np.zeros(original.frame_count)
     by_vertex = worst_errors = np.zeros(original.vertex_count)

@@ -142,6 +142,13 @@ def to_y_up(points: FloatArray, up_axis: str) -> Float:
     return np.asarray(points[..., [(up - 1) % 3, up, (up + 1) % 3]], dtype=np.float64)
 
 
+def heading_between(source: Float, target: Float) -> float:
+    """Return the best-fit rotation in degrees about the vertical from points ``(n, 3)`` to others, 0 if undefined."""
+    a, b = ((x - x.mean(axis=0))[:, [0, 2]] for x in (source, target))
+    cosine, sine = float((a * b).sum()), float((a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]).sum())
+    return float(np.degrees(np.arctan2(sine, cosine)))
+
+
 MAX_FRAMES = 100_000
 """Largest number of frames of a film, to catch wrong frame rates and durations."""
 
@@ -222,7 +229,7 @@ class SceneItem:
     def of_bodies(self) -> Sequence[SceneItem]:
         """Return an item for each body of the model; the item itself without a model of several bodies."""
         model = self.model
-        if model is None or not model.bodies:
+        if model is None or not model.body_names[1:]:
             return [self]
         names = {body: f"{self.name}: {body}" if self.name else body for body in model.body_names}
         return [replace(self, name=name, motion=model.body(body)) for body, name in names.items()]
@@ -363,41 +370,71 @@ FRAMING_RATIO = 1.15
 """Size of the picture relative to the size of the projected meshes."""
 
 
+STACKING_RATIO = 0.85
+"""Distance of the camera from a column of meshes, relative to a row, below which meshes are stacked."""
+
+
 @dataclass(frozen=True, eq=False)
 class Arrangement:
     """Positions of meshes in a scene, Y up, with the ground at zero."""
 
     up_axes: tuple[str, ...]  # up axis of each mesh
     scale: float  # scene units per unit of the meshes
-    boxes: Float  # (n, 2, 3) bounding boxes over time, relative to the offsets, in scene units
+    boxes: Float  # (n, 2, 3) bounding boxes over time of meshes that are not turned, relative to the offsets
     offsets: Float  # (n, 3) origins of the meshes, in scene units
     view: View  # view of the camera
+    turns: tuple[float, ...]  # azimuth of each mesh's own view, in degrees from that of the camera
+    is_stacked: bool = False  # whether meshes side by side form a column in the view, not a row on the ground
+
+    @cached_property
+    def rotations(self) -> Float:
+        """Rotations ``(n, 3, 3)`` of the meshes about the vertical axis."""
+        return np.stack([View(turn, 0.0).rotation for turn in self.turns])
+
+    @cached_property
+    def _turned_boxes(self) -> Float:
+        """Bounding boxes ``(n, 2, 3)`` of the turned boxes."""
+        centres = np.einsum("nij,nj->ni", self.rotations, self.boxes.mean(axis=1))
+        halves = np.einsum("nij,nj->ni", np.abs(self.rotations), np.ptp(self.boxes, axis=1) / 2)
+        return np.stack([centres - halves, centres + halves], axis=1)
 
     @property
     def low(self) -> Float:
         """Minimum corner ``(3,)`` of the bounding box of all meshes."""
-        return np.asarray((self.boxes[:, 0] + self.offsets).min(axis=0))
+        return np.asarray((self._turned_boxes[:, 0] + self.offsets).min(axis=0))
 
     @property
     def high(self) -> Float:
         """Maximum corner ``(3,)`` of the bounding box of all meshes."""
-        return np.asarray((self.boxes[:, 1] + self.offsets).max(axis=0))
+        return np.asarray((self._turned_boxes[:, 1] + self.offsets).max(axis=0))
 
     @property
     def centres(self) -> Float:
         """Centres ``(n, 3)`` of the meshes."""
-        return np.asarray(self.boxes.mean(axis=1) + self.offsets)
+        return np.asarray(self._turned_boxes.mean(axis=1) + self.offsets)
 
     @property
     def label_positions(self) -> Float:
         """Positions ``(n, 3)`` of labels above the meshes."""
-        tops = np.where([True, False, True], self.centres, self.boxes[:, 1] + self.offsets)
+        tops = np.where([True, False, True], self.centres, self._turned_boxes[:, 1] + self.offsets)
         return np.asarray(tops + np.array([0, 0.04 * SCENE_SIZE, 0]))
+
+    def to_local(self, index: int, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Scale points ``(V, 3)`` of a mesh to scene units, Y up, neither turned nor moved."""
+        return np.asarray(self.scale * to_y_up(points, self.up_axes[index]), dtype=np.float32)
+
+    def place(self, index: int, local: FloatArray) -> NDArray[np.float32]:
+        """Turn and move local points ``(V, 3)`` of a mesh to scene coordinates."""
+        return np.asarray(local @ self.rotations[index].T + self.offsets[index], dtype=np.float32)
 
     def to_scene(self, index: int, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """Transform points ``(V, 3)`` of a mesh to scene coordinates."""
-        points_in_scene = self.scale * to_y_up(points, self.up_axes[index]) + self.offsets[index]
-        return np.asarray(points_in_scene, dtype=np.float32)
+        return self.place(index, self.to_local(index, points))
+
+    def to_mesh(self, index: int, point: Float) -> Float:
+        """Transform a point ``(3,)`` in scene coordinates to those of a mesh, the inverse of `to_scene`."""
+        local = (point - self.offsets[index]) @ self.rotations[index]
+        return np.asarray(np.roll(local / self.scale, UP_AXES.index(self.up_axes[index]) - 1))
 
     def camera(self, aspect: float) -> tuple[Float, Float]:
         """Return position ``(3,)`` and target ``(3,)`` of a camera that shows all meshes; `aspect` is height/width."""
@@ -410,19 +447,46 @@ class Arrangement:
         distance = (forwards + FRAMING_RATIO * np.maximum(np.abs(up), np.abs(right) * aspect) / tangent).max()
         return centre + distance * rotation[2], centre
 
-    def with_azimuth(self, azimuth: float, target: Float, distance: float) -> Arrangement:
-        """Return the arrangement with meshes in a row across the view from an azimuth, so that no mesh hides another.
+    def _distance(self, aspect: float) -> float:
+        position, centre = self.camera(aspect)
+        return float(np.linalg.norm(position - centre))
 
-        If the camera is close, the mesh nearest to its target ``(3,)`` stays fixed, else the centre of the row.
+    def side_by_side(self) -> Arrangement:
+        """Return the arrangement with meshes in a row or column across the view, about the centre of all meshes."""
+        axis = -self.view.rotation[1] if self.is_stacked else View(self.view.azimuth, 0.0).rotation[0]
+        boxes = self._turned_boxes
+        sizes = np.ptp(boxes, axis=1) @ np.abs(axis)
+        ends = np.cumsum(sizes + MESH_GAP_RATIO * sizes.max())
+        offsets = np.outer(ends - sizes / 2, axis) - boxes.mean(axis=1)
+        offsets += (self.centres - offsets - boxes.mean(axis=1)).mean(axis=0)
+        if not self.is_stacked:
+            offsets[:, 1] = -boxes[:, 0, 1]
+        return replace(self, offsets=offsets)
+
+    def fitted(self, aspect: float) -> Arrangement:
+        """Return a row, or a column if it shows the meshes larger in a picture that is higher than wide.
+
+        `aspect` is height/width.
         """
-        offsets = _row_offsets(self.boxes, azimuth)
-        shifts = (self.offsets - offsets) * [1, 0, 1]
-        position, centre = self.camera(aspect=1.0)
-        if distance < 0.7 * np.linalg.norm(position - centre):
-            shift = shifts[np.linalg.norm(self.centres - target, axis=1).argmin()]
-        else:
-            shift = shifts.mean(axis=0)
-        return replace(self, offsets=offsets + shift, view=View(azimuth, self.view.elevation))
+        row, column = (replace(self, is_stacked=is_stacked).side_by_side() for is_stacked in (False, True))
+        is_larger = aspect > 1 and column._distance(aspect) < STACKING_RATIO * row._distance(aspect)
+        return column if is_larger else row
+
+    def seen_from(self, view: View, target: Float, distance: float) -> Arrangement:
+        """Return the arrangement with meshes across a new view, so that no mesh hides another.
+
+        If the camera is close, the mesh nearest to its target ``(3,)`` stays fixed, else the centre of all meshes.
+        """
+        moved = replace(self, view=view).side_by_side()
+        if distance >= 0.7 * self._distance(aspect=1.0):
+            return moved
+        nearest = np.linalg.norm(self.centres - target, axis=1).argmin()
+        return replace(moved, offsets=moved.offsets + (self.centres - moved.centres)[nearest])
+
+    def turned(self, index: int, degrees: float) -> Arrangement:
+        """Return the arrangement with the own view of one mesh at another azimuth."""
+        turns = (*self.turns[:index], degrees, *self.turns[index + 1 :])
+        return replace(self, turns=turns).side_by_side()
 
 
 def arrange_meshes(scene: Scene, side_by_side: bool, camera: tuple[float, float] | None = None) -> Arrangement:
@@ -436,26 +500,11 @@ def arrange_meshes(scene: Scene, side_by_side: bool, camera: tuple[float, float]
     bounds = np.array(boxes)
     first = scene.items[0]
     ends = np.stack([first.pose(0.0), first.pose(float(first.elapsed[-1]))])
+    offsets = np.tile([0.0, -bounds[:, 0, 1].min(), 0.0], (len(bounds), 1))
     view = resolve_view(ends, up_axes[0], camera)
-    ground = float(bounds[:, 0, 1].min())
-    offsets = np.tile([0.0, -ground, 0.0], (len(bounds), 1))
+    unscaled = Arrangement(up_axes, 1.0, bounds, offsets, view, (0.0,) * len(bounds))
     if side_by_side:
-        offsets = _row_offsets(bounds, view.azimuth)
-    low, high = (bounds[:, 0] + offsets).min(axis=0), (bounds[:, 1] + offsets).max(axis=0)
-    scale = SCENE_SIZE / (float((high - low).max()) or 1.0)
-    centre = (low + high) / 2 * [1, 0, 1]
-    return Arrangement(up_axes, scale, scale * bounds, scale * (offsets - centre), view)
-
-
-def _row_offsets(boxes: Float, azimuth: float) -> Float:
-    """Return offsets ``(n, 3)`` that place meshes in a row across the view, on the ground."""
-    a = np.radians(azimuth)
-    right = np.array([np.cos(a), 0.0, -np.sin(a)])
-    widths = [np.abs(right) @ (high - low) for low, high in boxes]
-    gap = MESH_GAP_RATIO * max(widths)
-    offsets, position = [], 0.0
-    for (low, high), width in zip(boxes, widths, strict=True):
-        centre = (low + high) / 2
-        offsets.append((position + width / 2) * right - [centre[0], low[1], centre[2]])
-        position += width + gap
-    return np.array(offsets)
+        unscaled = unscaled.side_by_side()
+    scale = SCENE_SIZE / (float((unscaled.high - unscaled.low).max()) or 1.0)
+    centre = (unscaled.low + unscaled.high) / 2 * [1, 0, 1]
+    return replace(unscaled, scale=scale, boxes=scale * bounds, offsets=scale * (unscaled.offsets - centre))

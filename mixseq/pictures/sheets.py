@@ -20,6 +20,7 @@ from mixseq.pictures.scene import (
     Limits,
     View,
     aspect_ratio,
+    heading_between,
     shared_limits,
     three_quarter_view,
     to_y_up,
@@ -209,9 +210,7 @@ def heading_degrees(transfer: Transfer) -> float:
     matched = transfer.correspondence.matched
     source = to_y_up(transfer.correspondence.interpolate(transfer.source.rest)[matched], transfer.source.header.up_axis)
     target = to_y_up(transfer.target[matched], transfer.header.up_axis)
-    a, b = ((x - x.mean(axis=0))[:, [0, 2]] for x in (source, target))
-    cosine, sine = float((a * b).sum()), float((a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]).sum())
-    return float(np.degrees(np.arctan2(sine, cosine)))
+    return heading_between(source, target)
 
 
 def contact_sheet(

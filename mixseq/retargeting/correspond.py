@@ -11,6 +11,9 @@ nearest matched vertex along the surface. Target components without a marker fol
 - *Triangles* in a map of vertices have the source triangle with the same three vertices. Without such a triangle they
   have the triangle of equal orientation that is closest to the mean of their mapped corners.
 - *Unmapped vertices* follow the nearest mapped vertex of their component. Unmapped components rigidly follow a vertex.
+
+*Examining* markers while they are set checks their consistency, and finds a correspondence of decimated meshes within a
+second. Its registration is stiff and does not reach inconsistent markers; the distances that remain are the residuals.
 """
 
 from __future__ import annotations
@@ -25,10 +28,18 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.mesh.decimation import decimate
 from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.checks import check_facing, check_markers, check_orientation, check_rest_frame
+from mixseq.retargeting.checks import (
+    Suspicion,
+    check_facing,
+    check_markers,
+    check_orientation,
+    check_rest_frame,
+    find_suspicious_markers,
+)
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_components
 from mixseq.retargeting.registration import LAST_STIFFNESS, STIFFNESS_STEPS, register
 from mixseq.runtime.parallel import one_blas_thread
@@ -489,3 +500,49 @@ def _closest_facing(source: TriangleMesh, points: Float, normals: Float) -> tupl
         closest_any = nearest.query(points[unmatched])
         faces[unmatched], weights[unmatched] = closest_any.faces, closest_any.weights
     return faces, weights
+
+
+MIN_EXAMINED_MARKERS = 10  # smallest number of markers for a registration with meaningful residuals
+TRIAL_VERTEX_COUNT = 1200  # number of vertices of the decimated meshes in an examination
+TRIAL_STIFFNESS, TRIAL_STEPS = 1e-2, 5  # last stiffness, and number of stiffnesses, of the stiff registration
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """Results of `examine_markers`."""
+
+    suspicions: tuple[Suspicion, ...] = ()  # markers inconsistent with the remaining markers
+    residuals: Float | None = None  # (n,) distances of a stiff registration from the markers, in diagonals
+    coverage: float = 0.0  # share of the target's area that is covered by the registration
+    refusal: str = ""  # error message of the registration; empty without an error
+
+    @property
+    def suspects(self) -> frozenset[int]:
+        """Ids of all suspicious markers."""
+        return frozenset(int(marker) for suspicion in self.suspicions for marker in suspicion.marker_ids)
+
+
+def examine_markers(source: MeshSequence, target: MeshSequence, markers: Markers) -> Examination:
+    """Examine the markers of two meshes in their first frames; problems are returned, not raised as errors."""
+    x, y = (np.asarray(sequence.points[0], np.float64) for sequence in (source, target))
+    suspicions = tuple(find_suspicious_markers(markers, x[markers.source], y[markers.target]))
+    if len(markers) < MIN_EXAMINED_MARKERS:
+        return Examination(suspicions)
+    source_ids, coarse_source = _decimate_mesh(x, source.faces, np.unique(markers.source))
+    target_ids, coarse_target = _decimate_mesh(y, target.faces, np.unique(markers.target))
+    coarse = Markers(np.searchsorted(source_ids, markers.source), np.searchsorted(target_ids, markers.target))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MixseqWarning)  # stiff registrations have poor matches
+        try:
+            _, quality = correspond_and_assess(
+                coarse_source, coarse_target, coarse, last_stiffness=TRIAL_STIFFNESS, steps=TRIAL_STEPS
+            )
+        except SettingsError as error:
+            return Examination(suspicions, refusal=str(error))
+    return Examination(suspicions, quality.marker_distances, quality.target_coverage)
+
+
+def _decimate_mesh(points: Float, faces: IntArray, keep: Index) -> tuple[Index, MeshSequence]:
+    """Decimate a mesh without removing the vertices `keep`; return the remaining vertices ``(n,)`` and the mesh."""
+    vertex_ids, coarse_faces = decimate(points, faces.astype(np.int64), TRIAL_VERTEX_COUNT, keep)
+    return vertex_ids, MeshSequence.from_arrays(points[None, vertex_ids], coarse_faces)

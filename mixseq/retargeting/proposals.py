@@ -1,7 +1,7 @@
 r"""Propose markers of two bodies of one kind, in any poses, from their shapes and their motions.
 
 *Tips* (of limbs, tail and head) are maxima of the mean distance along the surface with a large prominence
-(`mixseq.retargeting.suggestions`). All injective maps of the tips of one body to those of the other are ranked by
+(`mixseq.retargeting.bodies`). All injective maps of the tips of one body to those of the other are ranked by
 
 .. math::
     \operatorname{mean}_{ij} |\log (d_{ij} / d'_{ij})| + \tfrac12 \operatorname{mean}_i |\log (m_i / m'_i)| + 2 r ,
@@ -21,6 +21,9 @@ A proposal is sure if a second run on other coarse surfaces, the other way round
 a low score, a margin and maps that preserve orientation. Sure maps are sampled at points far apart. A point is held out
 of one of two registrations, which have the tips and half of the other points as markers, and kept if the registration
 maps it to about the same point. A tip is left out if a registration by the points between tips maps it elsewhere.
+
+*Left and right* of one body are exchanged by a dense map of the body to its mirror image, whose tips correspond to
+themselves or to each other.
 """
 
 from __future__ import annotations
@@ -33,122 +36,23 @@ from itertools import combinations, permutations
 from typing import cast
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.mesh.rigid import aligning_rotations
+from mixseq.mesh.rigid import aligning_rotations, kabsch
 from mixseq.mesh.topology import Topology
+from mixseq.mesh.triangle_mesh import TriangleMesh
+from mixseq.retargeting.bodies import SAME_TIP_DISTANCE, Body, find_largest_component
 from mixseq.retargeting.correspond import correspond_and_assess
 from mixseq.retargeting.markers import Markers
-from mixseq.retargeting.suggestions import MIN_LIMB_PROMINENCE, CoarseSurface, find_largest_component, find_maxima
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import FileOr, HasFrames, public
-from mixseq.segmentation.silhouettes import Diffusion
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
 
 RUN_VERTEX_COUNTS = 1000, 700  # number of vertices of coarse surfaces in the first and in the second run
 MAX_POSES = 13  # largest number of sampled poses of a body
-MAX_TIPS = 8  # largest number of tips of a body; all of their injective maps are ranked
 MIN_MATCHED_TIPS = 4  # smallest number of matched tips: fewer have similarities to their mirror image
-MAX_EIGENFUNCTIONS = 60  # number of eigenfunctions of the finest map
-HANDEDNESS_EIGENFUNCTIONS = 40  # number of eigenfunctions to which handedness is smoothed
-
-
-@dataclass(frozen=True, eq=False)
-class Body:
-    """Coarse surface of a body with some of its poses; lengths are in roots of the area."""
-
-    surface: CoarseSurface  # surface in the first pose
-    poses: Float  # (T, n, 3) centred poses
-    distances: Float  # (n, n) distances along the surface
-    is_own: Mask  # (n,) vertices of the mesh itself, not of its subdivision
-    known: Index  # (h,) vertices of the surface with a known partner
-    tips: Index  # (k,) vertices of the surface at other tips, the most prominent first
-
-    @classmethod
-    def from_poses(cls, poses: FloatArray, topology: Topology, count: int, known: Index) -> Body:
-        """Decimate the largest component of a mesh in poses ``(T, V, 3)``, with known vertices ``(h,)``."""
-        vertex_count = topology.vertex_count
-        while topology.vertex_count < count / 2:
-            poses, topology = subdivide(poses, topology)
-        surface = CoarseSurface.from_mesh(poses[0], topology, count, keep=known)
-        coarse = np.asarray(poses[:, surface.vertices], np.float64)
-        coarse = (coarse - coarse.mean(axis=1, keepdims=True)) / surface.size
-        distances = np.minimum(surface.distances(np.arange(len(surface.vertices))), MAX_DISTANCE)
-        distances = (distances + distances.T) / 2
-        is_own, known = surface.vertices < vertex_count, np.searchsorted(surface.vertices, known)
-        peaks, prominences = find_maxima(distances @ surface.mesh.vertex_areas, surface)
-        is_tip = prominences >= MIN_LIMB_PROMINENCE
-        if len(known):
-            is_tip &= distances[np.ix_(peaks, known)].min(axis=1) > SAME_TIP_DISTANCE
-        tips = np.flatnonzero(is_own)[distances[np.ix_(peaks[is_tip], is_own)].argmin(axis=1)]
-        return cls(surface, coarse, distances, is_own, known, tips[:MAX_TIPS])
-
-    @cached_property
-    def mean_distances(self) -> Float:
-        """Mean distances ``(n,)`` along the surface from every vertex to the surface."""
-        return np.asarray(self.distances @ self.areas)
-
-    @cached_property
-    def areas(self) -> Float:
-        """Areas ``(n,)`` of vertices, which add to one."""
-        areas = np.maximum(self.surface.mesh.vertex_areas, 1e-8)
-        return np.asarray(areas / areas.sum())
-
-    @cached_property
-    def eigenfunctions(self) -> Float:
-        """Lowest eigenfunctions ``(n, k)`` of the Laplacian, the constant one first, orthonormal by area."""
-        diffusion = Diffusion(self.surface.points, self.surface.mesh.topology)
-        functions = diffusion.embedding(0.0, min(MAX_EIGENFUNCTIONS - 1, len(self.areas) // 3))
-        return np.concatenate([np.ones((len(functions), 1)), functions], axis=1)
-
-    def project(self, values: Float, count: int) -> Float:
-        """Return coefficients ``(count, c)`` of values ``(n, c)`` in the lowest eigenfunctions."""
-        return np.asarray(self.eigenfunctions[:, :count].T @ (self.areas[:, None] * values))
-
-    def sample(self, count: int, mask: Mask | None = None) -> Index:
-        """Sample vertices ``(count,)`` far from each other, in a mask ``(n,)``, the innermost first (Gonzalez 1985)."""
-        mask = np.ones(len(self.areas), dtype=bool) if mask is None else mask
-        samples = [int(np.where(mask, self.mean_distances, np.inf).argmin())]
-        nearest = np.where(mask, self.distances[samples[0]], -1.0)
-        for _ in range(min(count, int(mask.sum())) - 1):
-            samples.append(int(nearest.argmax()))
-            nearest = np.minimum(nearest, self.distances[samples[-1]])
-        return np.array(samples)
-
-    def handedness(self, vertices: Index) -> Float:
-        """Return the smoothed handedness ``(n, k (k - 1) / 2)`` of all pairs of vertices ``(k,)``."""
-        mesh, values = self.surface.mesh, self.distances[vertices]
-        faces = mesh.topology.faces
-        corners = mesh.points[faces]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
-        gradients = np.zeros((len(vertices), len(faces), 3))
-        for corner in range(3):
-            opposite = corners[:, corner - 1] - corners[:, corner - 2]
-            gradients += values[:, faces[:, corner], None] * np.cross(normals, opposite)
-        gradients /= np.maximum(np.linalg.norm(gradients, axis=2, keepdims=True), 1e-9)
-        pairs = np.array(list(combinations(range(len(vertices)), 2)))
-        triple_products = np.einsum("fi,pfi->fp", normals, np.cross(gradients[pairs[:, 0]], gradients[pairs[:, 1]]))
-        at_vertices = np.zeros((len(self.areas), len(pairs)))
-        for corner in range(3):
-            np.add.at(at_vertices, faces[:, corner], triple_products * mesh.face_areas[:, None] / 3)
-        count = HANDEDNESS_EIGENFUNCTIONS
-        coefficients = self.eigenfunctions[:, :count].T @ at_vertices  # vertex values are already weighted by areas
-        return np.asarray(self.eigenfunctions[:, :count] @ coefficients)
-
-
-def subdivide(poses: FloatArray, topology: Topology) -> tuple[FloatArray, Topology]:
-    """Cut every triangle into four: the vertices of poses ``(T, V, 3)``, then the midpoints of edges."""
-    a, b, c = topology.faces.T
-    ab, bc, ca = len(poses[0]) + topology.face_edges.T
-    faces = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
-    points = np.concatenate([poses, poses[:, topology.edges].mean(axis=2)], axis=1)
-    return points, Topology(faces, points.shape[1])
-
-
-MAX_DISTANCE = 9.0  # replaces infinite distances
-SAME_TIP_DISTANCE = 0.15  # largest distance of two vertices that are the same tip
 
 
 def _fit_similarities(covariances: Float, first_norms: Float, second_norms: Float) -> tuple[Float, Float, Float]:
@@ -398,6 +302,83 @@ def _symmetric_maps(body: Body, pairs: Index) -> Iterator[Index]:
     for symmetry in symmetries[:MAX_SYMMETRIES]:
         if all(tip in symmetry for tip in pairs[:, 1].tolist()):
             yield np.stack([pairs[:, 0], [symmetry[tip] for tip in pairs[:, 1].tolist()]], axis=1)
+
+
+MAX_EXCHANGES = 8  # number of ranked exchanges of tips that become dense maps
+PAIR_BONUS = 0.03  # bonus of the score for a pair of exchanged tips: limbs are exchanged rather than bent
+MAX_ROUND_TRIP_DISTANCE = 0.08  # largest distance of a point from its double mirror image, in roots of the area
+MIN_PARTNER_DISTANCE = 0.08  # smallest distance of partners off the middle of the body, in roots of the area
+NEIGHBOURHOOD_RINGS = 2  # number of rings of vertices around a point to which a reflection is fitted
+MIN_NORMAL_COSINE = 0.5  # smallest cosine between the normal of a partner and the mirrored normal
+
+
+@dataclass(frozen=True, eq=False)
+class Mirror:
+    """Mirror map of a body: the partner of every coarse vertex on the opposite side."""
+
+    mesh: TriangleMesh  # mesh of the body
+    body: Body  # coarse body
+    partners: Index  # (n,) partner of every vertex of the coarse body
+
+    @classmethod
+    def from_poses(cls, poses: FloatArray, topology: Topology) -> Mirror | None:
+        """Find the mirror map of a mesh in poses ``(T, V, 3)``; return None if it has no two similar sides."""
+        with one_blas_thread():
+            body = Body.from_poses(poses, topology, RUN_VERTEX_COUNTS[0], np.zeros(0, np.int64))
+            image = body.mirrored()
+            exchanges = [pairs for pairs in _rank_with_poses(body, image) if _is_exchange(pairs)][:MAX_EXCHANGES]
+            maps = [extend_tip_map(body, image, pairs) for pairs in exchanges]
+        best = min(maps, key=lambda each: each.score - PAIR_BONUS * _exchanged_count(each.pairs) / 2, default=None)
+        if best is None or best.score > MAX_SURE_SCORE or best.orientation < MIN_SURE_ORIENTATION:
+            return None
+        return cls(TriangleMesh(np.asarray(poses[0], np.float64), topology), body, best.to_second)
+
+    def find_partner(self, vertex: int) -> int | None:
+        """Return the mirrored vertex, or None if uncertain, in the middle, or outside the largest component."""
+        surface, partners, component_of_vertex = (
+            self.body.surface,
+            self.partners,
+            self.mesh.topology.component_of_vertex,
+        )
+        component = component_of_vertex[surface.vertices[self.body.is_own][0]]
+        if component_of_vertex[vertex] != component:
+            return None
+        point = (self.mesh.points[vertex] - surface.centre) / surface.size
+        coarse_vertex = int(self._point_tree.query(point)[1])
+        partner = partners[coarse_vertex]
+        round_trip, partner_distance = self.body.distances[coarse_vertex, [partners[partner], partner]]
+        if round_trip > MAX_ROUND_TRIP_DISTANCE or partner_distance < MIN_PARTNER_DISTANCE:
+            return None
+        mirrored, mirrored_normal = self._mirror_point(coarse_vertex, point, self.mesh.vertex_normals[vertex])
+        candidates = np.flatnonzero(component_of_vertex == component)
+        is_facing = self.mesh.vertex_normals[candidates] @ mirrored_normal >= MIN_NORMAL_COSINE
+        candidates = candidates[is_facing] if is_facing.any() else candidates
+        offsets = self.mesh.points[candidates] - (surface.centre + surface.size * mirrored)
+        return int(candidates[np.einsum("vi,vi->v", offsets, offsets).argmin()])
+
+    def _mirror_point(self, coarse_vertex: int, point: Float, normal: Float) -> tuple[Float, Float]:
+        """Mirror a point near a coarse vertex, and its normal, by a reflection fitted to the neighbourhood."""
+        surface, ring = self.body.surface, np.array([coarse_vertex])
+        adjacency = surface.mesh.topology.vertex_adjacency
+        for _ in range(NEIGHBOURHOOD_RINGS):
+            ring = np.unique(np.concatenate([ring, adjacency[ring].indices]))
+        rotation, shift = kabsch(-surface.points[ring], surface.points[self.partners[ring]])
+        return rotation @ -point + shift, rotation @ -normal
+
+    @cached_property
+    def _point_tree(self) -> cKDTree:
+        return cKDTree(self.body.surface.points)
+
+
+def _is_exchange(pairs: Index) -> bool:
+    """Return whether pairs of tips ``(k, 2)`` of one body exchange some of them, and exchange them back."""
+    partners = dict(pairs.tolist())
+    is_back = all(partners.get(other) == tip for tip, other in partners.items())
+    return is_back and _exchanged_count(pairs) > 0
+
+
+def _exchanged_count(pairs: Index) -> int:
+    return int((pairs[:, 0] != pairs[:, 1]).sum())
 
 
 MAX_SURE_SCORE = 0.65  # largest score of a sure map

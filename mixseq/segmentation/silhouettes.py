@@ -35,7 +35,6 @@ well two vertices are connected, independent of the signs of eigenvectors and of
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -136,19 +135,6 @@ class Diffusion:
     def embedding(self, time: float, count: int) -> Float:
         """Return coordinates ``(V, count)`` whose distances in a component are diffusion distances; padded with 0."""
         result = np.zeros((self.topology.vertex_count, count))
-        for component, values, vectors in self._spectra(count):
-            result[component, : len(values)] = vectors * np.exp(-time * values)
-        return result
-
-    def heat_kernel(self, times: Float, count: int) -> Float:
-        """Return the heat ``(V, n)`` remaining at its source after twice the times ``(n,)``, without constant part."""
-        result = np.zeros((self.topology.vertex_count, len(times)))
-        for component, values, vectors in self._spectra(count):
-            result[component] = vectors**2 @ np.exp(-2 * np.outer(values, times))
-        return result
-
-    def _spectra(self, count: int) -> Iterator[tuple[Index, Float, Float]]:
-        """Yield vertices ``(n,)``, lowest eigenvalues ``(k,)`` and eigenvectors ``(n, k)`` for every component."""
         roots = 1.0 / np.sqrt(self.areas)
         scaled = sparse.csr_array(self.laplacian.multiply(roots[:, None]).multiply(roots[None, :]))
         labels = self.topology.component_of_vertex
@@ -157,7 +143,8 @@ class Diffusion:
         for start, end in zip(np.append(0, ends[:-1]), ends, strict=True):
             component = order[start:end]
             values, vectors = _lowest_eigenpairs(blocks[start:end, start:end], min(count, len(component) - 1))
-            yield component, values, vectors * roots[component, None]
+            result[component, : len(values)] = roots[component, None] * vectors * np.exp(-time * values)
+        return result
 
 
 def _lowest_eigenpairs(matrix: sparse.csr_array, count: int) -> tuple[Float, Float]:

@@ -15,6 +15,7 @@ knots of the curves are shared, and any body can take the place of the model wit
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,22 @@ from mixseq.signals.curve import Curve
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float, Index
+
+
+class Relation(NamedTuple):
+    """How a body moves, relative to another one of the same model."""
+
+    turn: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)  # quaternion of the direction in which it moves
+    same_parts: bool = False  # whether parts of equal numbers correspond
+
+    def relative_to(self, other: Relation) -> Relation:
+        """Return the relation to another body, from those of both to a third."""
+        turn = quat_multiply(np.array(self.turn), quat_conjugate(np.array(other.turn)))
+        return Relation(tuple(turn.tolist()), self.same_parts and other.same_parts)
+
+
+SAME_BODY = Relation(same_parts=True)
+"""Relation of a body to itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +87,11 @@ class Body:
         expected = (len(self.shapes), self.space.shape_dim), (4,), *placed, turns
         if tuple(None if array is None else array.shape for array in arrays) != expected:
             raise SettingsError(f"the body {self.header.name!r} does not fit its shape space")
+
+    @property
+    def relation(self) -> Relation:
+        """The relation to the model."""
+        return Relation(tuple(self.turn.tolist()), self.part_turns is not None)
 
     def relative_to(self, other: Body) -> Body:
         """Return the body with its maps from another body of the same model."""

@@ -15,9 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import linalg
 
-from mixseq.choices import PoseForm
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.measures import element_blocks
 from mixseq.mesh.rotations import align_quat_signs
@@ -38,7 +36,7 @@ from mixseq.sequence.sequence import (
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import FRAMES_PER_BLOCK
 from mixseq.signals.model import Model
-from mixseq.signals.pose import Modes, PoseMap, principal_modes
+from mixseq.signals.pose import Modes, principal_modes
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.mixed.construction import faces_without_area
 from mixseq.spaces.mixed.mixed_space import MixedSpace
@@ -99,24 +97,6 @@ def least_squares_curve(times: Float, values: Float, inner: Float) -> Curve:
     return Curve(sites, make_lsq_spline(times, values, knots, k=3)(sites))
 
 
-def choose_key_frames(scores: Float) -> Index:
-    """Choose well-conditioned frames ``(r + 1,)`` as key shapes from scores ``(T, r)``."""
-    size = np.abs(scores).max(initial=0.0) or 1.0
-    corners = np.concatenate([np.full((1, len(scores)), size), scores.T])
-    pivots = linalg.qr(corners, mode="r", pivoting=True)[1]
-    return np.sort(pivots[: scores.shape[1] + 1]).astype(np.int64)
-
-
-def key_pose_map(keys: Float) -> PoseMap:
-    """Make the pose map of key shapes at points of pose space ``(K, r)``."""
-    # The weights w of a point c solve corners @ w = (1, c).
-    corners = np.concatenate([np.ones((1, len(keys))), keys.T])
-    inverse = np.linalg.pinv(corners)
-    offset, matrix = inverse[:, 0], inverse[:, 1:].T
-    # Correct the sums for rounding, and for keys that do not span pose space.
-    return PoseMap(offset + (1 - offset.sum()) / len(keys), matrix - matrix.mean(axis=1, keepdims=True))
-
-
 OPERATOR_VERTICES = 256
 """Number of vertices from which the temporal operator is selected."""
 
@@ -154,7 +134,6 @@ class EncodedSequence:
     # Of every group of components, the operator that interpolates sampled vertices with the least errors.
     operators: tuple[TemporalOperator, ...]
     group_of_vertex: Index  # (V,) groups of components with cuts and pops of their own
-    pose: PoseForm = "modes"  # form of the key shapes
 
     @cached_property
     def poses(self) -> Float:
@@ -194,7 +173,6 @@ class EncodedSequence:
 def encode_sequence(
     sequence: FrameStore | MeshSequence,
     space: ShapeSpace,
-    pose: PoseForm = "modes",
     workers: Executor = serial_executor,
     progress: Progress = log_progress,
     timings: Sequence[Timing] = (Timing(),),
@@ -231,7 +209,7 @@ def encode_sequence(
         timing.select_operator(sequence.header.times, samples[:, ids].reshape(count, -1), motion)
         for timing, ids, motion in zip(timings, columns, motions, strict=True)
     )
-    return EncodedSequence(sequence.header, space, shapes, placement, operators, group_of_vertex, pose)
+    return EncodedSequence(sequence.header, space, shapes, placement, operators, group_of_vertex)
 
 
 def _encode_block(context: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:
@@ -256,12 +234,7 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
     times = encoded.header.times
     rank = _choose_rank(encoded, detail)
     modes = encoded.modes.first(rank)
-    if encoded.pose == "modes":
-        pose, shapes = modes.pose_map(), modes.key_shapes()
-    else:
-        frames = choose_key_frames(modes.scores)
-        pose = key_pose_map(modes.scores[frames])
-        shapes = encoded.shapes[frames]
+    pose, shapes = modes.pose_map(), modes.key_shapes()
     if detail.step:
         round_key_shapes(shapes, encoded.space, detail.step)
     key_poses = shapes[:, encoded.pose_columns]

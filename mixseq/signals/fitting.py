@@ -16,7 +16,7 @@ from typing import Unpack, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.choices import BETWEENS, POSE_FORMS, BetweenName, PlacementName, PoseForm, SpaceName
+from mixseq.choices import BETWEENS, BetweenName, PlacementName, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import choose_origin, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
@@ -148,7 +148,6 @@ class FitOptions(SpaceOptions, total=False):
     """Optional keyword settings of `fit`."""
 
     knots: int | ArrayLike | None
-    pose: PoseForm
     between: BetweenName
     cuts: CutChoice
 
@@ -218,8 +217,6 @@ def fit(
     knots : int or (n,) array_like, optional
         Inner knots of all curves: their number, evenly spread, or their times in seconds. By default, a knot at
         (almost) every frame, or the fewest knots that `tolerance` allows.
-    pose : {"modes", "keys"}
-        Key shapes: mean and modes (default), or frames of the sequence; see `mixseq.signals.pose`.
     between : {"auto", "smooth", "linear", "hold", "vertices"}
         Motion between frames. By default, holds, repeated poses (on twos) and linear motion between keys are found in
         the frames and kept. "smooth" goes smoothly through repeated poses and keys, and does not keep the frames
@@ -260,9 +257,9 @@ def fit(
     """
     sequence = cast("Frames", sequence)
     check_motion(sequence)
-    knots, pose = settings.pop("knots", None), settings.pop("pose", "modes")
+    knots = settings.pop("knots", None)
     between, cuts = settings.pop("between", "auto"), settings.pop("cuts", "auto")
-    _check_options(exact, tolerance, rank, knots, pose, between)
+    _check_options(exact, tolerance, rank, knots, between)
     if between == "vertices":
         if space not in ("mixed", "vertex"):
             raise SettingsError(f"between='vertices' is the vertex space; leave it out, or space={space!r}")
@@ -291,7 +288,7 @@ def fit(
             found = found.with_keys(keys) if keys else found
             found = found.with_cuts(cuts, frames.header)
         groups, group_of_vertex = [found.whole], None
-        if pose == "modes" and space in ("mixed", "vertex") and found.components:
+        if space in ("mixed", "vertex") and found.components:
             groups, group_of_vertex = found.group_components(topology.component_of_vertex)
         del topology  # its tables are large
         if between == "smooth":
@@ -300,7 +297,7 @@ def fit(
         timings = [Timing(events, "hold" if is_held else between) for events in groups]
         shape_space = make_space(frames, space, options, executor, stages.at(1, SPACE_STAGES))
         stage = stages.at(1 + SPACE_STAGES)
-        encoded = encode_sequence(frames, shape_space, pose, executor, stage, timings, group_of_vertex)
+        encoded = encode_sequence(frames, shape_space, executor, stage, timings, group_of_vertex)
         encoded = select_share(encoded, frames.points)
         return_freed_memory()
         if exact:
@@ -344,7 +341,6 @@ def _check_options(
     tolerance: float | None,
     rank: int | None,
     knots: int | ArrayLike | None,
-    pose: PoseForm,
     between: BetweenName,
 ) -> None:
     if exact and not (tolerance is None and rank is None and knots is None):
@@ -355,7 +351,5 @@ def _check_options(
         raise SettingsError(f"tolerance is {tolerance}; a positive number is expected (or exact=True)")
     if rank is not None and not (isinstance(rank, int | np.integer) and rank >= 0):
         raise SettingsError(f"rank is {rank}; a whole number of shape modes, zero or more, is expected")
-    if pose not in POSE_FORMS:
-        raise SettingsError(f"pose is {pose!r}; 'modes' or 'keys' is expected")
     if between not in BETWEENS:
         raise SettingsError(f"between is {between!r}; {', '.join(BETWEENS)} are possible")

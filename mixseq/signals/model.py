@@ -12,12 +12,13 @@ The **placement** of bodies in the world is a separate curve. Further bodies, ot
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import read_only
@@ -27,7 +28,7 @@ from mixseq.sequence.events import Events
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import LazyFrames, warn_of_loss
-from mixseq.signals.bodies import Body
+from mixseq.signals.bodies import SAME_BODY, Body, Relation
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.signals.pose import Plane, PoseMap, fit_plane
@@ -137,7 +138,7 @@ class Model(Decodable, PickledWithoutCaches):
         >>> import mixseq
         >>> from mixseq.creature import walk_cycle
         >>> from mixseq.operations import key_poses, speed, with_body
-        >>> fox = mixseq.fit(walk_cycle(frames=6), pose="keys", exact=True)
+        >>> fox = mixseq.fit(walk_cycle(frames=6), exact=True)
         >>> keys = key_poses(fox)
         >>> both = with_body(fox, keys.with_points(keys.points * [1.0, 1.5, 1.0]), "tall fox")
         >>> speed(both, 2.0).body("tall fox").end < fox.end
@@ -147,6 +148,10 @@ class Model(Decodable, PickledWithoutCaches):
             return self
         if name not in self.body_names:
             raise SettingsError(f"there is no body {name!r}; bodies are {', '.join(map(repr, self.body_names))}")
+        return self._with_body(name)
+
+    def _with_body(self, name: str) -> Model:
+        """Return the model with one of its further bodies in front."""
         chosen = self.bodies[self.body_names.index(name) - 1]
         turns = np.tile(np.eye(3), (self.space.correction_dim // 6, 1, 1))
         turn, shifts = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros((self.space.centre_count, 3))
@@ -223,10 +228,25 @@ class Model(Decodable, PickledWithoutCaches):
     @property
     def frames(self) -> LazyFrames:
         """The frames of the body in front, decoded on demand, with their parts; warns of further bodies."""
-        if self.bodies:
+        if self.body_names[1:]:
             text = f"further bodies, {', '.join(self.body_names[1:])}, are left out"
             warn_of_loss(self.header, text, "take them by Model.body, or write them by mixseq decode --body")
-        return LazyFrames(self.header, lambda size: self.blocks(self.times, size), self.parts)
+        return next(self.frames_of_bodies())
+
+    def frames_of_bodies(self) -> Iterator[LazyFrames]:
+        """Yield the frames of every body, decoded on demand, with their parts."""
+        for model in map(self.body, self.body_names):
+            yield LazyFrames(model.header, partial(model.blocks, model.times), model.parts)
+
+    @property
+    def relations(self) -> tuple[Relation, ...]:
+        """The relations of all bodies to the one in front."""
+        return SAME_BODY, *(body.relation for body in self.bodies)
+
+    @property
+    def signals_id(self) -> int:
+        """A number that a model has in common with `body`, and no other model has."""
+        return id(self.time)
 
     @property
     def mixed(self) -> MixedSpace:
@@ -290,21 +310,6 @@ class Model(Decodable, PickledWithoutCaches):
     def vectors(self) -> Float:
         """The vectors ``(T, D)`` of the frames."""
         return self.curve(self.times)
-
-    @property
-    def key_frames(self) -> NDArray[np.int64]:
-        """Frame ``(K,)`` that equals each key shape, -1 for key shapes without an equal frame."""
-        weights = self.pose.weights(self.time(self.times))
-        frames = np.full(len(self.shapes), -1, dtype=np.int64)
-        keys = weights.argmax(axis=1)  # only these key shapes can equal a frame
-        for key in np.unique(keys):
-            candidates = np.flatnonzero(keys == key)
-            unit_weights = np.zeros(len(self.shapes))
-            unit_weights[key] = 1.0
-            distances = np.abs(weights[candidates] - unit_weights).max(axis=1)
-            if distances.min() < 1e-6:
-                frames[key] = candidates[distances.argmin()]
-        return frames
 
     def embedding(self, times: ArrayLike, plane: Plane | None = None) -> Float:
         """Return the coordinates ``(N, 2)`` of the model in its main plane, in diagonals.

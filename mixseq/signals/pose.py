@@ -4,12 +4,7 @@ r"""Pose space: principal components of a sequence, the map to weights of key sh
 
 Every point c of pose space represents the shape :math:`\sum_j \varphi_j(c)\,P_j`. The coordinates of pose space are the
 scores of a principal component analysis of the sequence, so that distances in pose space are distances between shapes.
-There are two equivalent forms of key shapes:
-
-modes
-    the mean, and the mean plus one standard deviation along every mode;
-keys
-    frames of the sequence, which an artist can inspect and exchange.
+Key shapes are the mean, and the mean plus one standard deviation along every mode.
 
 *Principal components* are the modes of the shapes. The centred, weighted vectors are :math:`Y = U \Sigma V^T`,
 ``(T, D)``. Scores are :math:`U \Sigma`, coordinates of the frames.

@@ -277,7 +277,7 @@ def _compress_poses(
     parts = None if parts is None else numbering.renumber_labels(parts, header.polygons)
     coded = compress(frames, max_error=max_error, progress=progress, uvs=False, parts=parts, inbetweens=inbetweens)
     # players need the labels of triangles only for in-betweens of parts
-    return coded if coded.parameters.inbetween_parts else replace(coded, parts=None), numbering.vertices
+    return coded if coded.parameters.inbetween_parts else replace(coded, labels=None), numbering.vertices
 
 
 def _regular_times(elapsed: Float, fps: float) -> tuple[Float, float]:

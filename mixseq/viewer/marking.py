@@ -11,10 +11,9 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from mixseq.mesh.topology import Topology
+from mixseq.retargeting.correspond import Examination, examine_markers
 from mixseq.retargeting.markers import Markers
-from mixseq.retargeting.proposals import propose_markers, sample_poses
-from mixseq.retargeting.suggestions import Examination, Mirror, examine_markers
+from mixseq.retargeting.proposals import Mirror, propose_markers, sample_poses
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
 from mixseq.viewer.playback import JobQueue
@@ -274,7 +273,7 @@ class MarkingSession(JobQueue[Callable[[], None]]):
 
     def _find_mirrors(self) -> None:
         self._set_work("looking for left and right")
-        mirrors = [Mirror.from_mesh(mesh.points[0], Topology(mesh.faces, mesh.vertex_count)) for mesh in self._meshes]
+        mirrors = [Mirror.from_poses(*sample_poses(mesh)) for mesh in self._meshes]
         if mirrors[0] is not None and mirrors[1] is not None:
             self._mirrors = mirrors[0], mirrors[1]
             self._mirror_pairs()

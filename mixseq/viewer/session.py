@@ -1,10 +1,6 @@
-r"""Edit the models of a scene: page messages, picking, undo history, chart data, and the editing thread.
+"""Edit the models of a scene: page messages, undo history, and the editing thread.
 
 Edits run in order. Previews follow the mouse: only the newest preview runs, after the previous preview was shown.
-
-Picking intersects a ray from the pointer with all triangles (Möller & Trumbore 1997). A point of the ray is
-:math:`o + t\,d`, a point of a triangle is :math:`a + u\,(b - a) + v\,(c - a)`. Ray and triangle intersect if
-:math:`t > 0`, :math:`u, v \ge 0` and :math:`u + v \le 1`.
 """
 
 from __future__ import annotations
@@ -197,7 +193,7 @@ class Session(JobQueue[_Job]):
         for index, item in enumerate(playback.scene.items):
             if isinstance(item.motion, Model):
                 model = item.motion
-                first = first_items.setdefault(id(model.time), index) if model.bodies else index
+                first = first_items.setdefault(model.signals_id, index) if model.body_names[1:] else index
                 self._bodies[index] = first, model.header.name
                 self._histories.setdefault(first, UndoHistory((Step("", model),)))
         self._save_threads: list[Thread] = []

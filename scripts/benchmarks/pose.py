@@ -24,7 +24,7 @@ from mixseq.errors import MixseqWarning
 from mixseq.mesh.measures import edge_lengths
 from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.operations import Handle, pose
-from mixseq.operations.handles import DEFAULT_SOFTNESS, MIN_HANDLES_OF_FREE_BODY
+from mixseq.operations.handles import DEFAULT_SOFTNESS, MIN_HANDLES_OF_FREE_BODY, weight_row
 from mixseq.operations.pose_solvers import MIN_DEVIATION_RATIO, PoseSolver, StillSolver
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.spaces.gradient import SYMMETRIC_ENTRY_IDS, GradientSpace
@@ -140,12 +140,15 @@ def gradient_solver(frames: Float, space: GradientSpace) -> Solver:
     return solve
 
 
+def rows_of(model: mixseq.Model, ids: Index) -> list[sparse.csr_array]:
+    """Return the rows of handles at vertices ``(n,)``."""
+    return [weight_row(model.header.vertex_count, ids[[i]], np.ones(1)) for i in range(len(ids))]
+
+
 def speeds(model: mixseq.Model, ids: Index, targets: Float, start: int) -> tuple[float, float]:
     """Return decoded poses per second on one core: solved from a frame, and dragged along a line in 20 steps."""
     when = float(model.times[start])
-    solver = PoseSolver(
-        model, [ids[[i]] for i in range(len(ids))], DEFAULT_SOFTNESS, len(ids) >= MIN_HANDLES_OF_FREE_BODY
-    )
+    solver = PoseSolver(model, rows_of(model, ids), DEFAULT_SOFTNESS, len(ids) >= MIN_HANDLES_OF_FREE_BODY)
     begin, change = solver.positions(model(when)), solver.unchanged()
     solver.solve(when, begin)
     with one_blas_thread():
@@ -189,8 +192,9 @@ def rows(case: str) -> Iterator[tuple[str, ...]]:
                 found = [pose(model, handles)(when)]
             solvers = (vertices, gradients) if count in GRADIENT_HANDLE_COUNTS else (vertices,)
             found += [solve(ids, targets / scale, start) * scale for solve in solvers]
-            groups, is_free = [ids[[i]] for i in range(count)], count >= MIN_HANDLES_OF_FREE_BODY
-            found += [StillSolver(still, groups, DEFAULT_SOFTNESS, is_free).solve(targets) for still in stills]
+            is_free = count >= MIN_HANDLES_OF_FREE_BODY
+            solvers_of_stills = [StillSolver(still, rows_of(still, ids), DEFAULT_SOFTNESS, is_free) for still in stills]
+            found += [solver.points(solver.solve(targets)) for solver in solvers_of_stills]
             errors = [
                 (
                     float(np.sqrt(np.square(x - expected).sum(axis=1).mean()) / scale),

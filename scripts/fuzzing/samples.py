@@ -81,7 +81,7 @@ def herd() -> Sample:
     """Return a sample of a model of two bodies."""
 
     def save(folder: Path) -> None:
-        fitted = mixseq.fit(arm(), pose="keys", exact=True)
+        fitted = mixseq.fit(arm(), exact=True)
         mixseq.save(folder / "model.h5", with_body(fitted, key_poses(fitted), "another"))
 
     return Sample("model.h5", save)

@@ -11,16 +11,14 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast
 
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.poses import ALL, Poses
-from scripts.paper_study.common.record import Json, Results, load, origins, save, stamped
-
-Say = Callable[[str], None]
+from scripts.paper_study.common.record import Json, Results, Say, load, origins, save, stamped
 
 STAGES = {
     "table-1": "times of MSGI, DSO and MixIT",
@@ -115,12 +113,7 @@ def write_index(out: Path) -> None:
     rows = [(f"[{name}]({name}.md)", STAGES[name], ", ".join(results)) for name, results in known.items()]
     intro = (Path(__file__).with_name("intro.md")).read_text().strip()
     shown = [f"- **{name}**: {text}" for name in known for text in stage(name).verdict(known[name])]
-    blocks = [
-        intro,
-        markdown_table(("page", "shows", "measured on"), rows),
-        "## What came out",
-        "\n".join(shown),
-    ]
+    blocks = [intro, markdown_table(("page", "shows", "measured on"), rows), "## What came out", "\n".join(shown)]
     out.mkdir(parents=True, exist_ok=True)
     (out / "index.md").write_text("\n\n".join(blocks) + "\n")
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +23,7 @@ Run = Callable[..., Result]
 
 @pytest.fixture(scope="module")
 def herd() -> Model:
-    thin = mixseq.fit(bar(5, 7, 4), pose="keys", exact=True)
+    thin = mixseq.fit(bar(5, 7, 4), exact=True)
     keys = key_poses(thin)
     return with_body(thin, keys.with_points(2 * keys.points), "large")
 
@@ -84,13 +87,45 @@ def test_what_cannot_be_is_refused(
     assert message in result.stderr
 
 
+@pytest.mark.parametrize("suffix", ["h5", "glb"])
+def test_all_bodies_are_compressed(run: Run, stored: Path, herd: Model, suffix: str) -> None:
+    """Lengths become the smallest fraction of a body, so that the bound holds for each."""
+    still = ["--still", "none"] if suffix == "glb" else []
+    length = 0.01 * herd.space.scale
+    result = run("encode", "herd.h5", f"small.{suffix}", "--max-error", f"{length:.6f}m", *still)
+    assert result.exit_code == 0, result.stderr
+    assert "left out" not in result.stderr
+    assert re.search(r"further bodies +large\n", run("info", f"small.{suffix}").stdout)
+    checked = json.loads(run("verify", f"small.{suffix}", "herd.h5", "--json").stdout)
+    for body in (checked, checked["bodies"]["large"]):
+        assert 0 < body["max_error"] <= body["bound"] <= 0.0051
+        assert body["holds"]
+    assert "body         large" in run("verify", f"small.{suffix}", "herd.h5").stdout
+    assert run("decode", f"small.{suffix}", "all_{body}.npz", "--quiet").exit_code == 0
+    for name in herd.body_names:
+        difference = mixseq.read(f"all_{name}.npz").points - herd.body(name).sample().points
+        assert np.linalg.norm(difference, axis=2).max() <= length
+
+
+def test_a_damaged_body_does_not_verify(run: Run, stored: Path, herd: Model) -> None:
+    mixseq.save("small.h5", mixseq.compress(herd, max_error=0.01))
+    spoilt = with_body(replace(herd, bodies=()), (keys := key_poses(herd)).with_points(2.1 * keys.points), "large")
+    mixseq.save("other.h5", spoilt)
+    result = run("verify", "small.h5", "other.h5")
+    assert result.exit_code == 1
+    assert result.stdout.count("bound holds  yes") == result.stdout.count("bound holds  no") == 1
+
+
 def test_names_that_are_no_files_are_refused(run: Run, folder: Path, herd: Model) -> None:
     mixseq.save("path.h5", with_body(herd, key_poses(herd), "a/b"))
     result = run("decode", "path.h5", "{body}.npz")
     assert "the body 'a/b' has no name for a file; decode it with --body" in result.stderr
 
 
-def test_a_page_shows_all_bodies(run: Run, stored: Path, herd: Model) -> None:
+@pytest.mark.parametrize("is_compressed", [False, True])
+def test_a_page_shows_all_bodies(run: Run, stored: Path, herd: Model, is_compressed: bool) -> None:
+    if is_compressed:
+        mixseq.save("herd.h5", mixseq.compress(herd, max_error=0.01))
     result = run("view", "herd.h5", "--export", "herd.html")
     assert result.exit_code == 0, result.stderr
     items = Opened(Path("herd.html")).items

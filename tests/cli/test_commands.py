@@ -19,7 +19,7 @@ import mixseq
 from mixseq.cli import main
 from mixseq.mesh.surface import MeshObject, Surface
 from mixseq.sequence.sequence import MeshSequence
-from tests.meshes import COARSE_CELL_METRES
+from tests.meshes import COARSE_CELL_METRES, bent, tube
 
 pytestmark = pytest.mark.slow
 
@@ -127,6 +127,22 @@ def test_info_of_a_model(run: Run) -> None:
         succeed(run("info", "model.hdf5", "--json")).replace("model.hdf5", "model.h5").splitlines()[2:]
         == (succeed(run("info", "model.h5", "--json")).splitlines()[2:])
     )
+
+
+def test_info_finds_moments(run: Run, folder: Path) -> None:
+    swing = np.sin(2 * np.pi * np.arange(25) / 12)
+    points = np.stack([bent(tube(6, 9)[0], angle) for angle in 0.5 * swing])
+    cycle = mixseq.MeshSequence.from_arrays(points, tube(6, 9)[1], fps=24)
+    mixseq.write("cycle.npz", cycle)
+    mixseq.write("later.npz", replace(cycle[3:], times=cycle.times[3:] + 10.0))
+    [best, *_] = json.loads(succeed(run("info", "cycle.npz", "--set", "moments=cycle.npz", "--json")))["moments"]
+    assert best["leave_frame"] - best["enter_frame"] == 12
+    assert best["leave"] - best["enter"] == pytest.approx(0.5)
+    [best, *_] = json.loads(succeed(run("info", "cycle.npz", "--set", "moments=later.npz", "--json")))["moments"]
+    assert (best["enter_frame"] - 240 - best["leave_frame"]) % 12 == 0
+    assert best["distance"] < 1e-3
+    table = rows(succeed(run("info", "cycle.npz", "--set", "moments=later.npz")))
+    assert table["moment 1"].strip().startswith("leave at frame ")
 
 
 def test_info_of_numbered_files(run: Run, folder: Path) -> None:

@@ -169,7 +169,6 @@ def test_encode_in_an_order_of_our_own(run: Run) -> None:
         ("--size 1MB --rank 3", "--rank is for models"),
         ("--size 1MB --space vertex", "--space is for models"),
         ("--size 1MB --knots 3", "--knots is for models"),
-        ("--size 1MB --pose keys", "--pose is for models"),
         ("--size 1MB --volume 1", "--volume is for"),
     ],
 )

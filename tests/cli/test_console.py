@@ -49,6 +49,11 @@ def test_tables_fit_100_columns(capsys: pytest.CaptureFixture[str]) -> None:
     assert lines[1].startswith("     word")
     assert lines[1].endswith("end")
     assert lines[-1] == f"two  {path}"
+    print_table([(40 * "f", 12 * "word ", 9 * "size "), ("g", "1", "2")], ("file", "words", "sizes"))
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 100
+    start = lines[0].index("sizes")
+    assert all(line[start - 2 : start].isspace() for line in lines if len(line) > start)  # columns stay apart
 
 
 def test_tables_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -229,7 +229,7 @@ def test_a_wolf_on_a_larger_wolf(run: Run, data: Path) -> None:
 
 
 def test_a_model_is_transferred_by_its_key_poses(run: Run, folder: Path, bar: MeshSequence) -> None:
-    mixseq.save(folder / "bar.h5", mixseq.fit(bar, exact=True, pose="keys"))
+    mixseq.save(folder / "bar.h5", mixseq.fit(bar, exact=True))
     succeed(run("transfer", "bar.h5", "large.npz", "two.h5", "--as-body", "large", "--no-picture", "--quiet"))
     succeed(
         run(
@@ -257,7 +257,7 @@ def test_a_model_is_transferred_by_its_key_poses(run: Run, folder: Path, bar: Me
 def test_a_body_that_looks_elsewhere_goes_there(run: Run, folder: Path, bar: MeshSequence) -> None:
     """As all frames do in a transfer: what travels along x goes along its own front."""
     ahead = bar.points + np.arange(bar.frame_count)[:, None, None] * [0.3, 0.0, 0.0]
-    moving = mixseq.fit(bar.with_points(ahead), exact=True, pose="keys")
+    moving = mixseq.fit(bar.with_points(ahead), exact=True)
     mixseq.save("moving.h5", moving)
     turned = bar.points[:1] @ np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     mixseq.write("turned.npz", mixseq.MeshSequence.from_arrays(turned, bar.faces, name="turned"))

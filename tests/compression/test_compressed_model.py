@@ -15,9 +15,9 @@ import pytest
 import mixseq
 from mixseq.choices import OrderName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
-from mixseq.compression.bitstream.spatial_basis import encode_face_labels
 from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import MixseqWarning, SegmentationError, SettingsError
+from mixseq.operations import exaggerate_part, key_poses, reverse, with_body
 from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
@@ -197,9 +197,9 @@ def test_too_many_parts_are_told() -> None:
 def test_sizes_include_the_labels() -> None:
     sequence = bar(sides=5, rings=15, frames=6)
     coded = mixseq.compress(sequence, size=900)
-    assert coded.parts is not None
+    assert coded.labels is not None
     motion = [*coded.basis, *(stream for chunk in coded.chunks for stream in (chunk.coefficients, chunk.residuals))]
-    assert sum(map(len, motion)) + len(encode_face_labels(coded.parts, coded.header.faces)) <= 900
+    assert sum(map(len, motion)) + len(coded.labels.data) <= 900
 
 
 def test_compressed_sequences_are_played_as_their_files(bent_bar: MeshSequence, tmp_path: Path) -> None:
@@ -210,3 +210,60 @@ def test_compressed_sequences_are_played_as_their_files(bent_bar: MeshSequence, 
     np.testing.assert_array_equal(coded([0.0, 0.05]), loaded([0.0, 0.05]))
     assert 0 < coded.nbytes < (tmp_path / "bar.h5").stat().st_size
     assert repr(coded).endswith(f", {coded.nbytes} bytes of signals, within 0.001 diagonals)")
+
+
+# Several bodies ---------------------------------------------------------------------------------------------
+
+
+@cache
+def herd() -> CompressedSequence:
+    """A bar, a large one, and one that bends alike and has other vertices."""
+    thin = fit(bar(sides=5, rings=15, frames=6), exact=True)
+    keys = key_poses(thin)
+    order = np.random.default_rng(0).permutation(keys.vertex_count)
+    other = mixseq.MeshSequence.from_arrays(1.5 * keys.points[:, order], np.argsort(order)[keys.faces], fps=1.0)
+    large = with_body(thin, keys.with_points(2.0 * keys.points), "large")
+    return mixseq.compress(with_body(large, other, "other", thin.parts), max_error=1e-4)
+
+
+def test_every_body_is_what_its_streams_decode_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = CompressedModel.from_sequence(herd())
+    monkeypatch.setattr("mixseq.signals.fitting.fit", None)
+    model = pickle.loads(pickle.dumps(model))
+    assert model.body_names == ("bar", "large", "other")
+    assert model.body("large").body_names == ("large", "bar", "other")
+    assert repr(model.body("other")).endswith("6 frames, bodies other, bar, large)")
+    thin = bar(sides=5, rings=15, frames=6).points
+    for factor, body in zip((1.0, 2.0), herd().all_bodies, strict=False):
+        frames = model.body(body.header.name).sample().points
+        np.testing.assert_array_equal(frames, decode(body).sample().points)
+        assert body.parameters.max_error == 1e-4 and body.parameters.promised
+        assert np.linalg.norm(frames - factor * thin, axis=2).max() <= 1e-4 * body.parameters.diagonal
+    with pytest.raises(SettingsError, match="there is no body 'camel'; bodies are 'bar', 'large', 'other'"):
+        model.body("camel")
+
+
+def test_between_frames_a_body_is_fitted_as_if_it_were_alone() -> None:
+    alone = CompressedModel.from_sequence(herd().bodies[0])
+    np.testing.assert_allclose(CompressedModel.from_sequence(herd()).body("large")(0.03), alone(0.03), atol=1e-9)
+
+
+def test_edits_play_on_all_bodies() -> None:
+    model = CompressedModel.from_sequence(herd())
+    back = reverse(model.body("other"))
+    assert type(back) is Model and back.body_names == ("other", "bar", "large")
+    for body in herd().all_bodies:
+        expected = decode(body).sample().points[::-1]
+        np.testing.assert_allclose(back.body(body.header.name).sample().points, expected, atol=1e-5)
+    stiff = exaggerate_part(model, 1, 0.0).body("large").sample().points
+    assert np.linalg.norm(stiff - decode(herd().bodies[0]).sample().points, axis=2).max() > 1e-2
+
+
+def test_bodies_that_do_not_belong_together_are_refused() -> None:
+    with pytest.raises(SettingsError, match="two bodies have the same name, 'bar'"):
+        replace(coded(), bodies=(coded(),))
+    other = mixseq.compress(replace(bar(sides=5, rings=15, frames=5), name="short"), max_error=1e-3)
+    with pytest.raises(SettingsError, match="the body 'short' has other times than 'bar'"):
+        replace(coded(), bodies=(other,))
+    with pytest.raises(SettingsError, match="size is for one body, and the model has several"):
+        mixseq.compress(CompressedModel.from_sequence(herd()), size=4000)

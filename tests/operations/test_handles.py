@@ -13,11 +13,14 @@ import pytest
 import mixseq
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.operations import Handle, pose
+from mixseq.operations.handles import DraggedPose, weight_row
 from mixseq.operations.pose_solvers import PoseSolver
 from mixseq.operations.script import Readers, read_script
 from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.curve import Curve
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
+from mixseq.signals.pose import PoseMap
 from mixseq.types import Float
 from tests.meshes import bent, rotation
 from tests.operations.chains import JOINTS, MESH, bone, chain
@@ -37,10 +40,10 @@ def hinged(angle: float) -> Float:
 
 
 @cache
-def hinge(form: str = "modes") -> Model:
+def hinge() -> Model:
     """Two bones, with a frame at each of the angles."""
     sequence = MeshSequence.from_arrays(np.stack([hinged(angle) for angle in ANGLES]), MESH[1], fps=10)
-    return fit(sequence, exact=True, parts=LABELS, pose="keys" if form == "keys" else "modes")
+    return fit(sequence, exact=True, parts=LABELS)
 
 
 @cache
@@ -75,6 +78,43 @@ def test_the_centre_of_a_part_is_a_handle() -> None:
     assert np.linalg.norm((posed - expected)[bone(2)], axis=1).max() < 2e-3 * model.space.scale
 
 
+@pytest.mark.parametrize("angle", [-0.5, 0.35])
+def test_a_rotation_determines_the_angle_of_a_hinge(angle: float) -> None:
+    """The frame at 0.4 s is straight, and the hinge turns about the x axis; its blend belongs to the part, too."""
+    model, expected = hinge(), hinged(angle)
+    part = int(model.decomposition.part_of_face[LABELS.argmax()])
+    posed = pose(model, [Handle(TIME, part=part, rotation=np.degrees([angle, 0, 0]))], keep=BASE, softness=1e-4)(TIME)
+    end = MESH[0][:, 2] > JOINTS[0] + 0.5
+    assert turned(MESH[0][end], posed[end]) == pytest.approx(abs(angle), rel=0.05)
+    assert turned(expected[end], posed[end]) < 0.05 * abs(angle)  # the same way
+
+
+def test_rotations_that_are_not_in_the_motion_are_exact_on_request() -> None:
+    model, part = chain(), 2
+    vertices = model.decomposition.parts[part]
+    before = model(TIME)[vertices]
+    posed = pose(model, [Handle(TIME, before.mean(axis=0), part=part, rotation=[0, 0, 60])], exact=True)(TIME)[vertices]
+    expected = (before - before.mean(axis=0)) @ rotation((0, 0, np.pi / 3)).T + before.mean(axis=0)
+    moments = (before - before.mean(axis=0)).T @ np.stack([posed, expected], axis=1).reshape(len(vertices), -1)
+    np.testing.assert_allclose(moments[:, :3], moments[:, 3:], atol=1e-6 * np.abs(moments).max())
+    np.testing.assert_allclose(posed.mean(axis=0), before.mean(axis=0), atol=1e-6)
+
+
+def test_a_part_keeps_its_directions_while_another_moves() -> None:
+    model, vertices = chain(), chain().decomposition.parts[2]
+    handles = [Handle(TIME, lifted_target(), TIP), Handle(TIME, part=2, rotation=[0, 0, 0])]
+    level, exact = (pose(model, handles, keep=[0, 5], fade=0.2, exact=each) for each in (False, True))
+    free, near, none = (turned(model(TIME)[vertices], each(TIME)[vertices]) for each in (lifted(), level, exact))
+    assert near < 0.5 * free
+    assert none < 1e-6
+
+
+def turned(before: Float, after: Float) -> float:
+    """The angle by which points are turned."""
+    u, _, v = np.linalg.svd((before - before.mean(axis=0)).T @ (after - after.mean(axis=0)))
+    return float(np.arccos(np.clip((np.trace(u @ v) - 1) / 2, -1, 1)))
+
+
 def test_handles_at_their_places_change_nothing() -> None:
     points = chain()(TIME)
     posed = pose(chain(), [Handle(TIME, points[vertex], vertex) for vertex in (TIP, 7, 200)], keep=[3])
@@ -92,15 +132,18 @@ def test_a_rigid_motion_of_everything_moves_the_result_only() -> None:
 
 
 def test_the_result_does_not_depend_on_the_coordinates_of_pose_space() -> None:
-    target = hinged(0.3)[TIP] + [0.01, 0.0, 0.01]
-    first, second = (pose(hinge(form), [Handle(0.2, target, TIP)], keep=BASE) for form in ("modes", "keys"))
+    target, model = hinged(0.3)[TIP] + [0.01, 0.0, 0.01], hinge()
+    turn = np.eye(model.pose.dim) + 0.5 * np.eye(model.pose.dim, k=1)
+    time = Curve(model.time.times, model.time.values @ np.linalg.inv(turn))
+    other = replace(model, pose=PoseMap(model.pose.offset, turn @ model.pose.matrix), time=time)
+    first, second = (pose(each, [Handle(0.2, target, TIP)], keep=BASE) for each in (model, other))
     assert np.abs(first(0.2) - second(0.2)).max() < 1e-5 * first.space.scale
 
 
 def test_derivatives_lead_to_a_minimum() -> None:
     model, target = chain(), lifted_target()
-    groups = [np.array([v]) for v in (TIP, 7, 200)]
-    solver = PoseSolver(model, groups, 1 / 500, is_free=True)
+    rows = [weight_row(len(MESH[0]), np.array([v]), np.ones(1)) for v in (TIP, 7, 200)]
+    solver = PoseSolver(model, rows, 1 / 500, is_free=True)
     targets = np.stack([target, *model(TIME)[[7, 200]]])
     change = solver.solve(TIME, targets)
     best = energy(solver, targets, change.scores, change.moves)
@@ -130,6 +173,19 @@ def test_a_change_fades_and_kept_vertices_stay_on_their_paths() -> None:
     assert kept.max() < 2e-3 * model.space.scale
     loose = pose(model, [Handle(TIME, lifted_target(), TIP)], fade=0.2, move_bodies=True)
     assert np.linalg.norm(loose(TIME)[0] - model(TIME)[0]) > 3 * kept.max()
+
+
+@pytest.mark.parametrize(("keep", "exact", "slack"), [([], False, 1e-4), ([], True, 5e-3), ([0, 5], False, 1e-2)])
+def test_a_dragged_pose_is_that_of_its_last_target(keep: list[int], exact: bool, slack: float) -> None:
+    """But for smooth displacements of the pose before, and for kept vertices, which `pose` solves for once more."""
+    model, before = chain(), chain()(TIME)
+    dragged = DraggedPose(model, [Handle(TIME, before[TIP], TIP)], keep, exact)
+    for share in np.linspace(0.1, 1.0, 10):
+        points = dragged.points((before[TIP] + share * (lifted_target() - before[TIP]))[None])
+    expected = pose(model, [Handle(TIME, lifted_target(), TIP)], keep=keep, fade=0.2, exact=exact)(TIME)
+    assert np.linalg.norm(points - expected, axis=1).max() < slack * model.space.scale
+    if not exact:
+        np.testing.assert_allclose(dragged.moved_model()(TIME), points, atol=1e-9)
 
 
 def test_exact_handles_arrive_at_all_times() -> None:
@@ -165,6 +221,9 @@ def test_a_missed_handle_is_warned_about() -> None:
         ([Handle(0.4, [0, 0, 0], part=9)], {}, "no part 9"),
         ([Handle(0.4, [0, 0, 0])], {}, "give one"),
         ([Handle(0.4, [0, 0, 0], 1, 1)], {}, "give one"),
+        ([Handle(0.4, part=1)], {}, "part 1 at 0.4 s has no position and no rotation"),
+        ([Handle(0.4, vertex=1, rotation=[0, 0, 0])], {}, "vertex 1 cannot be turned, only a part"),
+        ([Handle(0.4, part=1, rotation=[0, 90])], {}, "part 1 at 0.4 s has the rotation"),
         ([Handle(0.9, [0, 0, 0], 1)], {}, "time is 0.9 s"),
         ([Handle(0.4, [0, 0, np.nan], 1)], {}, "vertex 1 at 0.4 s has the position"),
         ([Handle(0.4, [0, 0], 1)], {}, "three finite numbers"),
@@ -213,7 +272,7 @@ def test_scripts_have_tables_or_files(tmp_path: Path, source: str) -> None:
     "handles",
     [
         "[1, 2]",
-        "[{time = 0.4}]",
+        "[{part = 1}]",
         "[{time = 0.4, position = [0, 0, 'x']}]",
         "[{time = 0, position = [0], foot = 1}]",
         "1",
@@ -221,7 +280,7 @@ def test_scripts_have_tables_or_files(tmp_path: Path, source: str) -> None:
 )
 def test_other_values_in_scripts_are_refused(tmp_path: Path, handles: str) -> None:
     (tmp_path / "edits.toml").write_text(f'[[edit]]\noperation = "pose"\nhandles = {handles}\n')
-    with pytest.raises(SettingsError, match="tables of time, position and vertex or part, or a CSV file"):
+    with pytest.raises(SettingsError, match="tables of time, vertex or part, and position or rotation"):
         read_script(tmp_path / "edits.toml", Readers(mixseq.load, mixseq.read))
 
 

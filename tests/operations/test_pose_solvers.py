@@ -12,13 +12,13 @@ import pytest
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.measures import edge_lengths
 from mixseq.operations import Handle, key_poses, pose, with_body
-from mixseq.operations.pose_solvers import JointRotations, StillSolver, minimise
+from mixseq.operations.pose_solvers import JointRotations, PoseSolver, StillSolver, minimise
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float
 from tests.meshes import bent, rotation
-from tests.operations.chains import JOINTS, MESH, bone, labels
+from tests.operations.chains import JOINTS, MESH, bone, chain, labels
 
 TIP = int(MESH[0][:, 2].argmax())
 BASE = [0, 2, 5]
@@ -97,29 +97,65 @@ def test_the_centre_of_a_part_of_a_still_is_a_handle() -> None:
     assert np.linalg.norm((posed(0.5) - expected)[bone(2)], axis=1).max() < 0.05 * model.space.scale
 
 
-def test_derivatives_are_those_of_differences() -> None:
-    solver = StillSolver(still(3), [np.array([TIP]), np.array([7, 9]), bone(1)], 0.01, is_free=True)
-    generator, count = np.random.default_rng(1), 3
-    turns = rotation((0.3, -0.5, 0.2)), rotation((-0.4, 0.1, 0.6)), rotation((0.2, 0.7, -0.1))
-    shifts = np.where(solver.is_root[:, None], generator.normal(size=(count, 3)), 0.0)
-    chain = JointRotations(np.stack(turns), shifts)
-    targets = generator.normal(size=(3, 3))
-    captured: dict[str, Any] = {}
+def functions_of(solver: PoseSolver | StillSolver, *arguments: Any) -> dict[str, Any]:
+    """What a solver gives to `minimise`."""
+    given: dict[str, Any] = {}
 
-    def capture(state, residuals, jacobian, after_step):  # type: ignore[no-untyped-def]
-        captured.update(residuals=residuals, jacobian=jacobian, after_step=after_step)
-        return state
+    def capture(*functions: Any) -> Any:
+        given.update(zip(("state", "residuals", "jacobian", "after_step"), functions, strict=True))
+        return functions[0]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mixseq.operations.pose_solvers.minimise", capture)
-        solver._minimise(targets, chain)
-    slopes = captured["jacobian"](chain)[:9]  # rows of rotations are exact at small rotations only
-    step = 1e-6
+        solver._minimise(*arguments)
+    return given
+
+
+@pytest.mark.parametrize("form", ["model", "still"])
+def test_derivatives_are_those_of_differences(form: str) -> None:
+    """Of positions of a vertex and of the middle of a part, and of the moments by which a part is turned."""
+    model = still(3) if form == "still" else chain()
+    points, generator = model(model.start), np.random.default_rng(1)
+    handles = Handle(0.0, [0, 0, 0], TIP), Handle(0.0, [0, 0, 0], part=1, rotation=[10, 20, 30])
+    rows = [row for handle in handles for row in handle.targets(model, points)[0]]
+    targets = generator.normal(size=(len(rows), 3))
+    if form == "still":
+        chained = StillSolver(model, rows, 0.01, is_free=True)
+        turns = rotation((0.3, -0.5, 0.2)), rotation((-0.4, 0.1, 0.6)), rotation((0.2, 0.7, -0.1))
+        shifts = np.where(chained.is_root[:, None], generator.normal(size=(3, 3)), 0.0)
+        given = functions_of(chained, targets, JointRotations(np.stack(turns), shifts))
+    else:
+        solver = PoseSolver(model, rows, 0.01, is_free=True)
+        prior = solver.unchanged()
+        change = prior._replace(scores=generator.normal(size=prior.scores.shape), moves=prior.moves + 0.1)
+        given = functions_of(solver, 0.3, targets, prior, change)
+    count, state, step = 3 * len(rows), given["state"], 1e-6  # rows of rotations are exact at small rotations only
+    slopes = given["jacobian"](state)[:count]
     for column, direction in enumerate(np.eye(slopes.shape[1])):
-        ends = [captured["residuals"](captured["after_step"](chain, sign * step * direction))[:9] for sign in (1, -1)]
+        ends = [given["residuals"](given["after_step"](state, sign * step * direction))[:count] for sign in (1, -1)]
         np.testing.assert_allclose(
             (ends[0] - ends[1]) / (2 * step), slopes[:, column], atol=1e-4 * np.abs(slopes).max()
         )
+
+
+@pytest.mark.parametrize("angles", [(25.0, 0.0, 0.0), (-10.0, 15.0, 5.0)])
+def test_a_rotation_turns_a_part_of_a_still(angles: tuple[float, float, float]) -> None:
+    model = still()
+    part = int(model.decomposition.part_of_face[HALVES.argmax()])
+    posed = pose(model, [Handle(0.5, part=part, rotation=angles)], keep=BASE, softness=1e-4)(0.5)
+    before, after = MESH[0][bone(2)], posed[bone(2)]
+    expected = (before - before.mean(axis=0)) @ rotation(tuple(np.radians(angles))).T
+    assert np.abs(after - after.mean(axis=0) - expected).max() < 0.01 * model.space.scale
+    assert np.linalg.norm(posed[BASE] - MESH[0][BASE], axis=1).max() < 0.005 * model.space.scale
+
+
+def test_solutions_start_from_the_one_before() -> None:
+    """The shorter way of a dragged handle: one round from a near pose is the pose of all rounds from the start."""
+    model, rows = still(3), Handle(0.0, [0, 0, 0], TIP).targets(still(3), MESH[0])[0]
+    solver = StillSolver(model, rows, 0.005, is_free=False)
+    near, target = (np.asarray(MESH[0][[TIP]] + [0.0, shift, -0.2 * shift]) for shift in (0.95, 1.0))
+    dragged = solver.solve(target, solver.solve(near), rounds=1)
+    np.testing.assert_allclose(solver.points(dragged)[TIP], solver.points(solver.solve(target))[TIP], atol=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -290,7 +290,7 @@ def test_all_times_may_be_frames() -> None:
         for key in script_keys(load_operation(name)).values()
         if key.to_seconds is not None
     }
-    named = {"start", "end", "at", "time", "duration", "fade", "seconds", "reach", "keys", "weight", "handles"}
+    named = {"start", "end", "at", "enter", "time", "duration", "fade", "seconds", "reach", "keys", "weight", "handles"}
     every = {(name, each) for name in OPERATIONS for each in signature(load_operation(name)).parameters}
     assert told == {(name, each) for name, each in every if each in named}
 

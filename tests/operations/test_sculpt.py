@@ -195,7 +195,7 @@ def test_what_does_not_move_is_similar_everywhere() -> None:
 
 
 def test_sculpt_keeps_other_signals() -> None:
-    model = fit(bar(sides=6, rings=21, frames=FRAMES), exact=True, parts=2, pose="keys")
+    model = fit(bar(sides=6, rings=21, frames=FRAMES), exact=True, parts=2)
     sculpted = sculpt(model, 0.2, bumped(model(0.2), np.arange(10)), "window", end=0.5)
     assert len(sculpted.shapes) == len(model.shapes) + 1
     np.testing.assert_array_equal(sculpted.shapes[:-1], model.shapes)

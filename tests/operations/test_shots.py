@@ -60,6 +60,27 @@ def test_moments_have_the_pose_and_its_velocity() -> None:
     np.testing.assert_allclose(joined(best.leave + 0.05), bent(POINTS, angle), atol=0.01)
 
 
+def test_strain_is_what_a_blend_half_way_shortens() -> None:
+    """Blends of vertices in the plane of a rotation are shorter by the cosine of half the angle between them."""
+    corners, faces = np.array([[0.0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]]), [[0, 1, 2], [0, 2, 3]]
+    models: list[mixseq.Model] = []
+    for first in (0.0, 2.0):
+        turned = np.stack([corners @ rotation((0.0, 0.0, first + 0.3 * k)).T for k in range(5)])
+        sequence = MeshSequence.from_arrays(turned, faces, fps=10)
+        models.append(mixseq.fit(sequence, exact=True, space="vertex", cuts="none"))
+    moments = find_moments(models[0], models[1], duration=0.2)
+    assert moments[0][:2] == pytest.approx((0.2, 0.0))
+    for leave, enter, _, strain in moments:
+        assert strain == pytest.approx(1.0 - np.cos((2.0 + 3.0 * (enter - leave)) / 2), abs=1e-6)
+
+
+def test_the_nearest_pairs_are_blended(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = mixseq.fit(shot(swing(1.5)), exact=True, space="vertex")
+    every = find_moments(model, duration=0.1, count=99)
+    monkeypatch.setattr("mixseq.operations.shots.MAX_BLENDED_VERTICES", 3 * len(POINTS))
+    assert find_moments(model, duration=0.1, count=99) == every[:1]
+
+
 def test_moments_depend_neither_on_place_nor_on_heading() -> None:
     angles = swing(1.0), np.linspace(-0.2, 0.7, 15)
     shots = [shot(each) for each in angles]
@@ -69,7 +90,7 @@ def test_moments_depend_neither_on_place_nor_on_heading() -> None:
         first, second = fit_shots([shots[0], each], exact=True, parts=LABELS)
         found.append(find_moments(first, second, duration=0.1))
     assert [each[:2] for each in found[0]] == [each[:2] for each in found[1]]
-    np.testing.assert_allclose([each[2] for each in found[0]], [each[2] for each in found[1]], atol=1e-6)
+    np.testing.assert_allclose([each[2:] for each in found[0]], [each[2:] for each in found[1]], atol=1e-6)
 
 
 def test_refusals() -> None:

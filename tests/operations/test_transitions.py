@@ -178,6 +178,12 @@ def test_into_itself_nothing_happens() -> None:
     np.testing.assert_allclose(over.curve(times), model.curve(times), atol=1e-8)
 
 
+def test_the_second_motion_is_entered_at_a_time() -> None:
+    entered = transition(bar_motion(), swing(), 0.2, 0.1, enter=0.15)
+    np.testing.assert_allclose(entered(0.4), swing()(0.35), atol=1e-9)
+    assert entered.end == pytest.approx(0.2 + 0.5 - 0.15)
+
+
 def test_turns_go_on_in_a_transition() -> None:
     """A body that is at three quarters of a turn passes over into one at no turn, and goes on to a whole one."""
     over = transition(spin(), spin(), at=0.75, duration=0.25)

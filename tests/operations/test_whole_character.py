@@ -10,14 +10,13 @@ import pytest
 
 import mixseq
 from mixseq.mesh.rigid import kabsch
-from mixseq.operations import drag, exaggerate, exaggerate_part, hold, sculpt, swap_key
+from mixseq.operations import drag, exaggerate, exaggerate_part, hold, sculpt
 from mixseq.operations.limbs import find_limb
 from mixseq.operations.sections import map_curve_times
 from mixseq.signals.curve import Curve
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray, Index
-from tests.meshes import coarse_walk
 from tests.operations.motions import first_frames, fox
 
 Made = tuple[Model, int | None]
@@ -174,14 +173,3 @@ def test_vertices_that_were_not_sculpted_stay(made: Made, between: float) -> Non
     frames = times[[0, 9, 15]]
     before, after = (each.sample(frames).points[:, others] for each in (model, sculpted))
     np.testing.assert_allclose(after, before, atol=1e-9 * space.scale)
-
-
-def test_a_key_that_is_exchanged_shows_in_its_frame() -> None:
-    model = fit(coarse_walk(frames=24), exact=True, pose="keys")
-    frame = int(model.key_frames[7])
-    edited, others = dented(model(float(model.times[frame])), model.space.scale)
-    before, after = (each.sample().points for each in (model, swap_key(model, 7, edited)))
-    np.testing.assert_allclose(after[frame], edited, atol=1e-9 * model.space.scale)
-    np.testing.assert_allclose(after[:, others], before[:, others], atol=1e-9 * model.space.scale)
-    rest = np.delete(np.arange(24), frame)
-    np.testing.assert_allclose(after[rest], before[rest], atol=1e-6 * model.space.scale)

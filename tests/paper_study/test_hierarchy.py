@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology, face_patches
 from scripts.paper_study.msgi.hierarchy import Region, divide
 from tests import meshes
@@ -101,17 +100,3 @@ def test_larger_leaves_are_fewer() -> None:
     ]
     assert all(many > few for many, few in pairwise(counts))
     assert counts[-1] == 1
-
-
-@pytest.mark.parametrize(
-    ("numbers", "message"),
-    [
-        ((0, 4, 1), "leaf is 0; at least 1"),
-        ((9, 1, 1), "group is 1; at least 2"),
-        ((9, 4, 0), "strips is 0; at least 1"),
-    ],
-)
-def test_refusals(numbers: tuple[int, int, int], message: str) -> None:
-    topology = meshes.topology_of(meshes.tetrahedron())
-    with pytest.raises(SettingsError, match=message):
-        divide(topology, np.arange(4), *numbers)

@@ -123,6 +123,8 @@ def test_any_axis_may_point_up(axis: str, order: list[int]) -> None:
     found = arrange_meshes(scene, side_by_side=True)
     turned = points[:, order]
     moved = found.to_scene(0, sequence.points[0])
+    spun = found.turned(0, 40.0)
+    np.testing.assert_allclose(spun.to_mesh(0, spun.to_scene(0, points)[1]), points[1], atol=1e-5)
     assert moved.dtype == np.float32
     shift = moved - found.scale * turned
     np.testing.assert_allclose(shift - shift[0], 0, atol=1e-5)
@@ -169,7 +171,7 @@ def test_the_camera_sees_everything(name: str, aspect: float) -> None:
 )
 def test_the_camera_sees_any_box(size: tuple[float, ...], at: tuple[float, ...], azimuth: float, aspect: float) -> None:
     box = np.array([[at, np.add(at, size)]])
-    found = Arrangement(("Y",), 1.0, box, np.zeros((1, 3)), View(azimuth))
+    found = Arrangement(("Y",), 1.0, box, np.zeros((1, 3)), View(azimuth), (0.0,))
     assert shares(found, aspect).max() == pytest.approx(1 / FRAMING_RATIO)
     place, centre = found.camera(aspect)
     assert place[1] > centre[1]  # from above
@@ -190,7 +192,7 @@ def test_the_camera_is_where_it_was_asked_for() -> None:
 def test_a_row_turns_with_the_camera(name: str, azimuth: float) -> None:
     scene = scene_of(*SHOTS[name])
     before = arrange_meshes(scene, side_by_side=True)
-    found = before.with_azimuth(azimuth, np.zeros(3), 10.0)
+    found = before.seen_from(View(azimuth), np.zeros(3), 10.0)
     right = across(found)
     ends = [(float((mesh @ right).min()), float((mesh @ right).max())) for mesh in placed(scene, found)]
     assert all(left > end for (_, end), (left, _) in pairwise(ends))
@@ -201,11 +203,47 @@ def test_a_row_turns_with_the_camera(name: str, azimuth: float) -> None:
 def test_what_is_looked_at_stays() -> None:
     before = arrange_meshes(scene_of(*SHOTS["two"]), side_by_side=True)
     for index, middle in enumerate(before.centres):
-        found = before.with_azimuth(before.view.azimuth + 70.0, middle, 1.0)
+        found = before.seen_from(View(before.view.azimuth + 70.0), middle, 1.0)
         np.testing.assert_allclose(found.offsets[index], before.offsets[index], atol=1e-12)
         assert np.abs(found.offsets[1 - index] - before.offsets[1 - index]).max() > 0.1
-    found = before.with_azimuth(before.view.azimuth + 70.0, before.centres[0], 10.0)
+    found = before.seen_from(View(before.view.azimuth + 70.0), before.centres[0], 10.0)
     np.testing.assert_allclose(found.centres.mean(axis=0), before.centres.mean(axis=0), atol=1e-12)
+
+
+def test_meshes_are_stacked_where_that_shows_them_larger() -> None:
+    """Long ones in a narrow picture; tall ones and wide pictures have a row."""
+    long, tall = scene_of(*2 * [box((4, 1, 1))]), scene_of(*2 * [box((1, 4, 1))])
+    for scene, aspect, is_stacked in ((long, 1.5, True), (long, 0.6, False), (tall, 1.5, False), (tall, 0.6, False)):
+        found = arrange_meshes(scene, True, (0.0, 0.0)).fitted(aspect)
+        assert found.is_stacked == is_stacked
+        assert shares(found, aspect).max() == pytest.approx(1 / FRAMING_RATIO)
+        direction = [0, -1, 0] if is_stacked else [1, 0, 0]
+        size = 1 if is_stacked or scene is tall else 4
+        apart = (1 + MESH_GAP_RATIO) * size * found.scale * np.array(direction)
+        np.testing.assert_allclose(found.centres[1] - found.centres[0], apart, atol=1e-9)
+
+
+@pytest.mark.parametrize("elevation", [-60.0, 0.0, 35.0, 80.0])
+def test_a_stack_turns_with_the_camera(elevation: float) -> None:
+    before = arrange_meshes(scene_of(*SHOTS["unlike"]), side_by_side=True).fitted(3.0)
+    assert before.is_stacked
+    found = before.seen_from(View(50.0, elevation), np.zeros(3), 100.0)
+    heights = [points @ found.view.rotation[1] for points in placed(scene_of(*SHOTS["unlike"]), found)]
+    assert all(upper.min() > lower.max() for upper, lower in pairwise(heights))
+
+
+def test_a_turned_mesh_is_seen_from_another_azimuth() -> None:
+    scene = scene_of(*SHOTS["unlike"])
+    before = arrange_meshes(scene, side_by_side=True)
+    found = before.turned(1, 40.0)
+    for index, turn in enumerate((0.0, 40.0, 0.0)):
+        local = found.to_local(index, scene.items[index].pose(0.0)).astype(np.float64)
+        seen = (placed(scene, found)[index][0] - found.offsets[index]) @ found.view.rotation.T
+        own = View(found.view.azimuth + turn, found.view.elevation)
+        np.testing.assert_allclose(seen, local @ own.rotation.T, atol=1e-6)
+    ends = [(mesh @ across(found)).ravel() for mesh in placed(scene, found)]
+    assert all(left.max() < right.min() for left, right in pairwise(ends))
+    assert found.low[1] == pytest.approx(0)
 
 
 # The camera: where it stands and what it frames

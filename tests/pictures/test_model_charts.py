@@ -61,9 +61,8 @@ def sizes_of(ellipse: MeshSequence) -> list[float]:
     return [7 * np.sqrt(2) * root / ellipse.diagonal, 2 * np.sqrt(3) * root / ellipse.diagonal]
 
 
-@pytest.mark.parametrize("pose", ["modes", "keys"])
-def test_singular_values_of_two_motions(ellipse: MeshSequence, pose: Any) -> None:
-    model = fit(ellipse, exact=True, space="vertex", pose=pose)
+def test_singular_values_of_two_motions(ellipse: MeshSequence) -> None:
+    model = fit(ellipse, exact=True, space="vertex")
     np.testing.assert_allclose(singular_values(model), sizes_of(ellipse), rtol=1e-9)
 
 
@@ -152,7 +151,6 @@ def test_coefficients_are_the_largest(bar_model: Model, bent_bar: MeshSequence, 
         bent_bar.with_points(bent_bar.points + 0.1 * np.random.default_rng(0).normal(size=bent_bar.points.shape)),
         exact=True,
         space="vertex",
-        pose="keys",
     )
     assert many.time.dim == 3
     draw_coefficients(ax, many)

@@ -7,8 +7,8 @@ import pytest
 
 from mixseq.errors import SettingsError
 from mixseq.retargeting.checks import check_marker_vertices
+from mixseq.retargeting.correspond import MIN_EXAMINED_MARKERS, examine_markers
 from mixseq.retargeting.markers import Markers
-from mixseq.retargeting.suggestions import MIN_EXAMINED_MARKERS, examine_markers
 from tests.retargeting.foxes import on_bones, short, tall
 
 pytestmark = pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.mesh.topology import Topology
-from mixseq.retargeting.suggestions import Mirror
+from mixseq.retargeting.proposals import Mirror
 from tests.meshes import joined, topology_of, torus, tube
 from tests.retargeting.foxes import on_bones, short, tall
 
@@ -18,7 +18,7 @@ PAIRED = ("ear", "cheek", "forepaw", "forearm", "shank", "hindpaw")
 
 def test_a_walking_fox() -> None:
     for fox in (short(), tall()):
-        mirror = Mirror.from_mesh(fox.points, fox.topology)
+        mirror = Mirror.from_poses(fox.points[None], fox.topology)
         assert mirror is not None
         for side, other in ("lr", "rl"):
             for bone, vertex in zip(PAIRED, on_bones(fox, *(f"{each}.{side}" for each in PAIRED)), strict=True):
@@ -43,7 +43,7 @@ def neighbours(bone: str) -> tuple[str, ...]:
 
 def test_middle_vertices_have_no_partner() -> None:
     fox = short()
-    mirror = Mirror.from_mesh(fox.points, fox.topology)
+    mirror = Mirror.from_poses(fox.points[None], fox.topology)
     assert mirror is not None
     assert mirror.find_partner(int(on_bones(fox, "nose")[0])) is None
     assert mirror.find_partner(int(on_bones(fox, "tail4")[0])) is None
@@ -52,8 +52,8 @@ def test_middle_vertices_have_no_partner() -> None:
 def test_partners_do_not_depend_on_place_and_unit() -> None:
     fox = short()
     one, other = (
-        Mirror.from_mesh(fox.points, fox.topology),
-        Mirror.from_mesh(50 * fox.points + 3, fox.topology),
+        Mirror.from_poses(fox.points[None], fox.topology),
+        Mirror.from_poses(50 * fox.points[None] + 3, fox.topology),
     )
     assert one is not None
     assert other is not None
@@ -64,12 +64,12 @@ def test_partners_do_not_depend_on_place_and_unit() -> None:
 def test_other_components_have_no_partners() -> None:
     fox, hat = short(), tube(8, 4)
     points, faces = joined((fox.points, fox.mesh.faces.astype(np.int64)), (0.05 * hat[0] + [0.3, 1.1, 0], hat[1]))
-    mirror = Mirror.from_mesh(points, Topology(faces, len(points)))
+    mirror = Mirror.from_poses(points[None], Topology(faces, len(points)))
     assert mirror is not None
     assert mirror.find_partner(len(fox.points) + 3) is None
 
 
 @pytest.mark.parametrize("mesh", [torus(20, 12), tube(12, 30)])
 def test_bodies_without_limbs_have_no_sides(mesh: tuple[np.ndarray, np.ndarray]) -> None:
-    mirror = Mirror.from_mesh(mesh[0], topology_of(mesh))
+    mirror = Mirror.from_poses(mesh[0][None], topology_of(mesh))
     assert mirror is None

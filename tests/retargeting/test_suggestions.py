@@ -10,9 +10,9 @@ import pytest
 import mixseq
 from mixseq.creature import walk_cycle
 from mixseq.mesh.topology import Topology
+from mixseq.retargeting.bodies import Body, subdivide
 from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.proposals import (
-    Body,
     Poses,
     Proposal,
     extend_tip_map,
@@ -20,13 +20,12 @@ from mixseq.retargeting.proposals import (
     find_pose_pair,
     propose_markers,
     similarity_residuals,
-    subdivide,
 )
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Index
 from tests.meshes import grid, rotation, topology_of, torus, tube
 from tests.retargeting.foxes import long_legs, on_bones, short, tall
-from tests.retargeting.test_extremities import TIPS
+from tests.retargeting.test_bodies import TIPS
 
 pytestmark = pytest.mark.slow
 

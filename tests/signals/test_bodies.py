@@ -44,7 +44,7 @@ def shuffled(keys: mixseq.MeshSequence, stretch: Float = STRETCH) -> mixseq.Mesh
 @pytest.fixture(scope="module")
 def herd() -> mixseq.Model:
     """A fox, a tall one of other vertices and the same parts, and one that looks elsewhere."""
-    fox = mixseq.fit(coarse_walk(frames=6), exact=True, pose="keys")
+    fox = mixseq.fit(coarse_walk(frames=6), exact=True)
     keys = key_poses(fox)
     both = with_body(fox, shuffled(keys), "tall", fox.parts)
     return with_body(both, keys.with_points(keys.points @ TURN.T), "turned", turn=TURN)

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import mixseq
 from mixseq.choices import SPACES, SpaceName
@@ -22,20 +20,16 @@ from mixseq.signals.detail import (
     Detail,
     EncodedSequence,
     build_model,
-    choose_key_frames,
     encode_sequence,
     fit_curve,
-    key_pose_map,
     least_squares_curve,
 )
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
-from mixseq.signals.pose import principal_modes
 from mixseq.spaces.making import make_space
 from mixseq.spaces.temporal import insert_midpoints
 from mixseq.types import Float, FloatArray
 from tests.meshes import bar, coarse_walk
-from tests.signals.test_pose import METRIC, vectors
 
 LONG = bar(sides=5, rings=13, frames=12)
 
@@ -92,7 +86,7 @@ def test_at_frames_exact_models_need_no_correction(detail: Detail) -> None:
     assert np.abs(model.correction(insert_midpoints(model.times))).max() > 1e-6
 
 
-@pytest.mark.parametrize("settings", [{"rank": 0}, {"rank": 2}, {"rank": 2, "pose": "keys"}])
+@pytest.mark.parametrize("settings", [{"rank": 0}, {"rank": 2}])
 def test_with_few_modes_frames_have_the_poses_of_their_parts(settings: dict[str, int]) -> None:
     model = fit(LONG, **settings)  # type: ignore[arg-type]
     size, end = model.space.shape_dim, model.space.shape_dim + model.space.placement_dim
@@ -255,24 +249,3 @@ def test_least_squares_lets_the_noise_go() -> None:
 
 
 # Frames that stand for all others
-
-
-@given(count=st.integers(1, 7), rank=st.integers(0, 4), seed=st.integers(0, 50))
-def test_weights_add_up_to_one(count: int, rank: int, seed: int) -> None:
-    modes = principal_modes(vectors(count, rank, seed=seed), METRIC)
-    points = modes.sizes * np.random.default_rng(seed).standard_normal((5, len(modes.sizes)))
-    frames = choose_key_frames(modes.scores)
-    weights = key_pose_map(modes.scores[frames]).weights(points)
-    assert weights.shape[1] == len(frames) <= min(count, len(modes.sizes) + 1)
-    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-9)
-
-
-def test_key_frames_stand_for_all_others() -> None:
-    given_ = vectors(count=8, rank=3)
-    modes = principal_modes(given_, METRIC).first(3)
-    frames = choose_key_frames(modes.scores)
-    assert len(frames) == 4
-    weights = key_pose_map(modes.scores[frames]).weights(modes.scores)
-    np.testing.assert_allclose(weights @ given_[frames], given_, atol=1e-10)
-    np.testing.assert_allclose(weights[frames], np.eye(4), atol=1e-9)
-    assert np.abs(weights).max() < 4, "key frames are spread widely"

@@ -50,7 +50,6 @@ SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
         ({"tolerance": 0.0}, r"tolerance is 0.0; a positive number"),
         ({"tolerance": np.nan}, r"tolerance is nan; a positive number"),
         ({"rank": -1}, r"rank is -1; a whole number of shape modes, zero or more"),
-        ({"pose": "frames"}, r"pose is 'frames'; 'modes' or 'keys'"),
         ({"space": "polar"}, r"space is 'polar'; one of mixed, vertex, gradient, lri, edge is expected"),
         ({"space": "vertex", "parts": 2}, r"the vertex space has no use for parts; .* space='mixed'"),
         ({"space": "lri", "parts": np.zeros(150, dtype=int)}, r"the lri space has no use for parts"),
@@ -137,7 +136,7 @@ LONGER: MeshSequence = bar(sides=4, rings=9, frames=8)
 @pytest.mark.parametrize("space", SPACES)
 @pytest.mark.parametrize(
     "settings",
-    [{"exact": True}, {"exact": True, "pose": "keys"}, {"rank": 7, "knots": 4}, {"tolerance": 1e-2}, {}],
+    [{"exact": True}, {"rank": 7, "knots": 4}, {"tolerance": 1e-2}, {}],
     ids=str,
 )
 def test_all_spaces_keep_what_they_promise(space: SpaceName, settings: dict[str, Any]) -> None:

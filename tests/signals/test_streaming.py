@@ -87,7 +87,6 @@ def assert_same(first: Model, second: Model) -> None:
     [
         {},
         {"exact": True},
-        {"rank": 3, "pose": "keys"},
         {"tolerance": 1e-2, "placement": "free"},
         {"space": "vertex", "knots": 5},
     ],

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.choices import SPACES, PoseForm, SpaceName
+from mixseq.choices import SPACES, SpaceName
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals import detail
@@ -28,8 +28,8 @@ LONG = bar(sides=5, rings=13, frames=30)
 
 
 @cache
-def exact_model(pose: PoseForm) -> Model:
-    return fit(LONG, exact=True, pose=pose)
+def exact_model() -> Model:
+    return fit(LONG, exact=True)
 
 
 @pytest.mark.parametrize("space", ["mixed", "vertex"])
@@ -105,17 +105,8 @@ def test_rank_truncates_shapes_but_not_placement() -> None:
     assert len(fit(LONG, rank=1000, space="vertex").shapes) <= 30
 
 
-@pytest.mark.parametrize("pose", ["modes", "keys"])
-def test_both_forms_of_the_pose_signal_are_exact(pose: PoseForm) -> None:
-    model = exact_model(pose)
-    assert mixseq.compare(LONG, model.sample()).max_error < 1e-10
-
-
-def test_key_shapes_are_frames_that_can_be_exchanged() -> None:
-    model = fit(LONG, rank=4, pose="keys")
-    encoded = exact_model("modes").vectors[:, : model.space.shape_dim]
-    apart = np.abs(encoded[:, None] - model.shapes[None]).max(axis=2).min(axis=0)
-    assert apart.max() < 1e-10  # those of exact models are rounded
+def test_exact_models_are_exact() -> None:
+    assert mixseq.compare(LONG, exact_model().sample()).max_error < 1e-10
 
 
 def test_knots_by_number_and_by_time() -> None:

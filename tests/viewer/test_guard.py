@@ -48,6 +48,21 @@ CAMERA = {
 }
 
 
+DRAG = {
+    "type": "SceneNodeDragMessage",
+    "phase": "start",
+    "name": "/mesh/0",
+    "instance_index": None,
+    "start_position": (0.0, 0.0, 0.0),
+    "start_screen_pos": (0.5, 0.5),
+    "end_position": (0.0, 0.0, 0.0),
+    "end_screen_pos": (0.5, 0.5),
+    "button": "left",
+    "modifier": None,
+    "owner": "",
+}
+
+
 @pytest.fixture(scope="module")
 def model() -> Model:
     return mixseq.fit(coarse_walk(8), rank=3)
@@ -320,6 +335,7 @@ GARBAGE: list[str | bytes] = [
     msgspec.msgpack.encode({**CAMERA, "position": (0.0, 1.0)}),
     msgspec.msgpack.encode({**CAMERA, "position": (0.0, 1.0, float("nan"))}),
     msgspec.msgpack.encode({**CAMERA, "extra\x1b[2J": 1}),
+    msgspec.msgpack.encode({**DRAG, "button": "right"}),
 ]
 
 

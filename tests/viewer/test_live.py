@@ -26,6 +26,7 @@ pytest.importorskip("viser", reason="the extra viewer is not installed")
 
 from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.viewer import Viewer, run_viewer
+from mixseq.viewer.session import Session
 
 pytestmark = pytest.mark.slow
 
@@ -178,6 +179,47 @@ FAINT = """() => {
 """Texts with a contrast below 4.5."""
 
 
+def pose_the_head(window: Window, session: Session, keep: Keep) -> None:
+    """Pin a paw and drag the nose: cancelled, undone before it is applied, applied by a key, and undone."""
+    page, before, drawn = window.page, session.model, window.array("position")
+    page.get_by_label("Pose", exact=True).check()
+    page.get_by_text("Drag the mesh").wait_for()
+    seen = np.array(page.evaluate(ON_SCREEN))
+    middles = seen[before.header.faces].mean(axis=1)
+    nose, paw = (middles[middles[:, axis].argmax(), :2] for axis in (0, 1))
+    summary = page.locator("#mixseq-pose")
+    page.mouse.click(*paw)
+    eventually(lambda: summary.inner_text() == "1 pin")
+
+    def drag() -> None:
+        camera = window.camera()
+        page.mouse.move(*nose)
+        page.mouse.down()
+        window.changes("position", lambda: page.mouse.move(nose[0] - 10, nose[1] - 60, steps=5))
+        assert window.camera() == camera, "a drag of the mesh turned the camera"
+        page.mouse.up()
+        eventually(lambda: summary.inner_text().startswith("1 handle"))
+        eventually(lambda: window.array("position") != drawn)
+
+    drag()
+    keep(page, "view_pose")
+    assert (summary.inner_text(), session.model) == ("1 handle, 1 pin", before)
+    page.keyboard.press("Escape")
+    eventually(lambda: window.array("position") == drawn)
+    drag()
+    window.click("Undo")
+    eventually(lambda: window.array("position") == drawn and summary.inner_text().startswith("Drag"))
+    assert session.model is before
+    page.get_by_label("Exact", exact=True).check()  # otherwise a handle that is missed is warned about
+    drag()
+    page.keyboard.press("Enter")
+    eventually(lambda: session.history.current.name == "pose")
+    assert np.abs(session.model(before.times[4]) - before(before.times[4])).max() > 1e-3
+    page.get_by_label("Pose", exact=True).uncheck()
+    window.click("Undo")
+    eventually(lambda: session.model is before and window.array("position") == drawn)
+
+
 # One test, as a page takes seconds to load.
 def test_a_session(
     watched: Watched, started: tuple[Viewer, Callable[[], None]], keep: Keep, model: Model, tmp_path: Path
@@ -254,6 +296,7 @@ def test_a_session(
     again = mixseq.load(saved)
     np.testing.assert_allclose(again.time(again.times), edited.time(edited.times), atol=1e-12)
 
+    pose_the_head(window, session, keep)
     drawn = window.array("position")
     page.set_viewport_size({"width": 390, "height": 844})
     page.goto(running.address + QUICK)

@@ -46,6 +46,12 @@ PLACE = """([side, vertex]) => {
 """Where a vertex is on the page."""
 
 
+UNNAMED = """() => [...document.querySelectorAll("button, canvas, input:not([type=hidden])")].filter((each) =>
+  each.offsetWidth && !each.getAttribute("aria-label") && !each.textContent.trim() && !each.labels?.length
+).map((each) => each.outerHTML)"""
+"""Controls on the page that screen readers have no name for."""
+
+
 class Hand:
     """A page with the viewer, and a hand."""
 
@@ -234,3 +240,58 @@ def test_no_mesh_hides_the_other(hand: Hand, running: MarkingViewer) -> None:
     assert away().min() < 0.45, "it looks past the mesh"
     hand.button("Other mesh")
     eventually(lambda: looked_at() == first)
+
+
+def test_a_mesh_turns_on_its_own(hand: Hand, running: MarkingViewer) -> None:
+    """The target is seen from the side of the source, until it is dragged with shift."""
+    stage, page = running._stage, hand.page
+    hand.see_left()
+    lefts = [stage.arrangement.rotations[side] @ FOXES[side]().left for side in (0, 1)]
+    assert lefts[0] @ lefts[1] > np.cos(np.radians(10.0))
+    before = stage.arrangement.turns
+    x, y = page.evaluate(PLACE, [1, seen_from_left(FOXES[1](), "thigh.l")])
+    page.keyboard.down("Shift")
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 90, y, steps=10)
+    page.mouse.up()
+    page.keyboard.up("Shift")
+    eventually(lambda: abs(stage.arrangement.turns[1] - before[1]) > 20)
+    assert stage.arrangement.turns[0] == before[0]
+    hand.wait_until_still()
+    hand.click(1, "thigh.l")  # on the turned mesh
+    assert hand.session.marking.started is not None
+    hand.see_left()
+    assert stage.arrangement.turns[1] == pytest.approx(before[1], abs=1e-6)
+
+
+def test_meshes_are_stacked_on_a_phone(hand: Hand, running: MarkingViewer, watched: Watched) -> None:
+    """Where that shows them larger, and nothing is outside of the picture."""
+    phone = watched.open(390, 844)
+    phone.goto(running.address + QUICK)
+    phone.wait_for_function(
+        "() => window.__viserMutable?.nodeRefFromName?.['/mesh/1'] && document.getElementById('mixseq-hint')"
+    )
+    eventually(lambda: len(running._stage._sent_cameras) == 2)
+    hand.button("Back")
+    eventually(lambda: running._stage.arrangement.is_stacked)
+    ends: list[Float] = []
+
+    def are_stacked() -> bool:
+        ends[:] = [
+            np.array([phone.evaluate(PLACE, [side, vertex]) for vertex in range(0, fox.mesh.vertex_count, 40)])
+            for side, fox in enumerate((short(), tall()))
+        ]
+        return bool(ends[0][:, 1].max() < ends[1][:, 1].min())
+
+    eventually(are_stacked)
+    places = np.concatenate(ends)
+    assert places.min() > 0
+    assert places[:, 0].max() < 390
+    for button in phone.get_by_role("button").all():
+        box = button.bounding_box()
+        if box is not None and button.inner_text():
+            assert box["height"] >= 40, button.inner_text()
+    phone.wait_for_timeout(1500)  # until they are named
+    assert phone.evaluate(UNNAMED) == []
+    phone.close()

@@ -16,6 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import asdict
 
+from mixseq.compression.compressed_model import CompressedModel
+from mixseq.compression.encoder.compress import compress
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.operations import key_poses, repeat, with_body
 from mixseq.pictures.charts import HANDLE_COUNT, MAX_CHART_FRAMES, MAX_CHART_POINTS, chart_data
@@ -704,10 +706,13 @@ def test_whatever_is_said(text: str) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*own key poses give the motion back within")
-def test_an_edit_of_one_body_is_shown_on_all(bar_model: Model) -> None:
+@pytest.mark.parametrize("is_compressed", [False, True])
+def test_an_edit_of_one_body_is_shown_on_all(bar_model: Model, is_compressed: bool) -> None:
     """They share the history; each is edited as it is, and the file that is saved has the edited one in front."""
     keys = key_poses(bar_model)
     herd = with_body(bar_model, keys.with_points(2 * keys.points), "large")
+    if is_compressed:
+        herd = CompressedModel.from_sequence(compress(herd, max_error=1e-3))
     items = SceneItem("herd.h5", herd).of_bodies()
     assert [item.name for item in items] == [f"herd.h5: {herd.header.name}", "herd.h5: large"]
     room = Room(*(item.motion for item in items if isinstance(item.motion, Model)))

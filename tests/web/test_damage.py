@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import mixseq
 from mixseq.compression.encoder.compress import compress
 from mixseq.sequence.sequence import MeshSequence
 from tests.compression.encoder.test_inbetweens import with_parts, with_random_inbetweens
 from tests.compression.test_golden import stored
-from tests.meshes import rotation, torus
+from tests.meshes import bar, rotation, torus
 from tests.web.conftest import Node
 from tests.web.played import write_container
 
@@ -185,6 +187,33 @@ for (let size = 0; size < file.length - 4; size++) {
     streams = json.loads(data[20 : 20 + size])["bufferViews"][1]
     extension_end = 28 + size + streams["byteOffset"] + streams["byteLength"]  # behind it is the still
     assert list(map(int, node(source, golden).split())) == list(range(extension_end, len(data) - 4))
+
+
+def test_bodies_are_read_by_name(node: Node, tmp_path: Path) -> None:
+    coded = compress(bar(5, 7, 4), max_error=1e-2)
+    other = compress(replace(bar(6, 5, 4), name="other"), max_error=1e-2)
+    mixseq.save(tmp_path / "two.glb", replace(coded, bodies=(other,)), still="none")
+    source = """
+import { readFileSync } from "node:fs";
+import { open } from "decoder/sequence.js";
+import { readGlb } from "player/glb.js";
+const file = new Uint8Array(readFileSync(process.argv[2])).buffer, counts = [];
+for (const body of [null, "bar", "other"]) {
+  const { text, streams } = readGlb(file, body);
+  counts.push((await open(text, streams)).vertexCount);
+}
+console.log(readGlb(file).bodies.join(), counts.join());
+try {
+  readGlb(file, "third");
+} catch (error) {
+  console.log(error.name, error.message);
+}
+"""
+    count, other_count = coded.header.vertex_count, other.header.vertex_count
+    assert node(source, tmp_path / "two.glb").splitlines() == [
+        f"bar,other {count},{count},{other_count}",
+        "MixseqError there is no body “third”; bodies are bar, other",
+    ]
 
 
 def test_files_of_other_versions_are_refused(node: Node, tmp_path: Path) -> None:

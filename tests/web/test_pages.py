@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import mixseq
+from mixseq.operations import key_poses, with_body
 from mixseq.web import package_files
 from tests.meshes import bar
 from tests.viewer.conftest import PATIENCE, Keep, browser, keep, new_page, page
@@ -75,6 +76,38 @@ def test_pages_play_without_a_network(page: Page, shot: bytes, name: str, keep: 
     page.wait_for_function("parseFloat(document.querySelector('output')?.textContent) > 0")
     assert not page.locator("#message").is_visible()
     keep(page, f"offline-{name}")
+
+
+@pytest.fixture(scope="module")
+def herd(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Two bodies, one of them thrice as wide."""
+    path, thin = tmp_path_factory.mktemp("herd") / "herd.glb", mixseq.fit(bar(5, 8, 4), exact=True)
+    keys = key_poses(thin)
+    wide = with_body(thin, keys.with_points(keys.points * [1.0, 3.0, 3.0]), "wide")
+    mixseq.save(path, mixseq.compress(wide, max_error=1e-3), still="none")
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bodies_are_chosen(page: Page, herd: bytes, name: str, keep: Keep) -> None:
+    serve(page, {"shot.glb": herd, "three_global.js": three_of_trimesh(), **THREE})
+    page.goto(f"{ADDRESS}{name}")
+    page.wait_for_function("parseFloat(document.querySelector('output')?.textContent) > 0")
+    assert page.locator("#body option").all_text_contents() == ["bar", "wide"]
+    page.keyboard.press("End")
+
+    def picture() -> bytes:
+        page.wait_for_timeout(200)
+        return page.screenshot(clip={"x": 0, "y": 60, "width": 1280, "height": 600})
+
+    first = picture()
+    time = page.inner_text("output")
+    page.select_option("#body", "wide")
+    keep(page, f"wide-{name}")
+    assert picture() != first
+    assert page.inner_text("output") == time
+    page.select_option("#body", "bar")
+    assert picture() == first
 
 
 def test_player_asks_for_nothing_elsewhere(page: Page, shot: bytes) -> None:

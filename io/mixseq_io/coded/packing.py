@@ -12,15 +12,15 @@ import numpy as np
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.compression.bitstream.connectivity import encode_polygons
 from mixseq.compression.bitstream.corner_values import to_grid
-from mixseq.compression.bitstream.spatial_basis import encode_face_labels
 from mixseq.compression.encoder.uvs import encode_uvs
 from mixseq.errors import InvalidSequenceError
 from mixseq.sequence.header import SequenceHeader
+from mixseq.signals.bodies import SAME_BODY
 from mixseq_io.coded.streams import INDEX_HEAD, LABEL_COUNT, MAGIC, Container, pack_leb128, pack_surface, pack_times
 
 
 def pack(coded: CompressedSequence) -> Container:
-    """Return the text of a compressed sequence, and its index and streams concatenated."""
+    """Return the text of a compressed sequence, and its index and streams concatenated, and those of its bodies."""
     text = facts_json(coded)
     has_inbetweens = coded.parameters.inbetween_levels is not None
     chunk_streams = [
@@ -29,15 +29,16 @@ def pack(coded: CompressedSequence) -> Container:
         for stream in (chunk.coefficients, chunk.residuals, *[chunk.inbetweens][:has_inbetweens])
     ]
     of_header = header_streams(coded.header, coded.parameters.uv_steps)
-    if coded.parts is not None:
-        of_header.append(encode_face_labels(coded.parts, coded.header.faces))
+    if coded.labels is not None:
+        of_header.append(coded.labels.data)
     streams = [*of_header, *coded.basis, *chunk_streams]
     counts = [chunk.count for chunk in coded.chunks]
     lengths = pack_leb128([len(coded.basis), len(counts), *counts, *map(len, streams)])
     crcs = [crc32(text), *(crc32(stream) for stream in streams if stream)]
     checksums = np.array(crcs, dtype="<u4").tobytes()
     head = INDEX_HEAD.pack(MAGIC, len(lengths), len(checksums), crc32(lengths + checksums))
-    return Container(text, b"".join([head, lengths, checksums, *streams]))
+    bodies = tuple(map(pack, coded.bodies))
+    return Container(text, b"".join([head, lengths, checksums, *streams]), bodies=bodies)
 
 
 def header_streams(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
@@ -59,8 +60,8 @@ def header_streams(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
 def facts_json(coded: CompressedSequence) -> bytes:
     """Return the text of a compressed sequence."""
     header, parameters = coded.header, asdict(coded.parameters)
-    if coded.parts is not None:
-        parameters[LABEL_COUNT] = int(coded.parts.max()) + 1
+    if coded.labels is not None:
+        parameters[LABEL_COUNT] = coded.labels.count
     facts = {
         "coding": {name: value for name, value in parameters.items() if value not in ((), None)},
         "name": header.name,
@@ -75,6 +76,8 @@ def facts_json(coded: CompressedSequence) -> bytes:
     }
     if header.provenance is not None and header.provenance.source is not None:
         facts["source"] = header.provenance.source.to_plain()
+    if coded.relation != SAME_BODY:
+        facts["relation"] = coded.relation._asdict()
     if coded.order != "keep":
         facts["order"] = coded.order
     if coded.between is not None:

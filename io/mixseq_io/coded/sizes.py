@@ -11,7 +11,6 @@ from io import BytesIO
 from typing import Any, NamedTuple
 
 import h5py
-import numpy as np
 
 from mixseq.choices import OrderName, StillName
 from mixseq.compression.bitstream.compressed_sequence import (
@@ -20,7 +19,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
     CompressedSequence,
     TemporalInterpolation,
 )
-from mixseq.compression.bitstream.spatial_basis import part_groups
+from mixseq.compression.bitstream.spatial_basis import FaceLabels, part_groups
 from mixseq.compression.encoder.compress import compress
 from mixseq.compression.encoder.trial import DEFAULT_CHUNK_FRAMES, chunk_ranges
 from mixseq.compression.encoder.uvs import UV_ERROR, with_quantised_uvs
@@ -31,10 +30,10 @@ from mixseq.runtime.progress import Progress, log_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
 from mixseq.sequence.sequence import Frames
-from mixseq.types import Float, FloatArray
+from mixseq.types import Float
 from mixseq_io.coded.packing import facts_json, header_streams, pack
 from mixseq_io.coded.streams import Container
-from mixseq_io.gltf.mesh_sequence import container_size, first_frame
+from mixseq_io.gltf.mesh_sequence import StillBody, glb_size
 from mixseq_io.hdf5.datasets import H5_VERSIONS
 from mixseq_io.saving import write_container
 
@@ -71,8 +70,7 @@ def compress_to_size(
 
 def file_size(coded: CompressedSequence, still: StillName | None = None) -> int:
     """Return the size in bytes of the file of a sequence: a .glb with a still, or HDF5 if `still` is None."""
-    frame = (np.zeros(0), np.zeros(0)) if still is None else first_frame(coded)
-    return _size_with(pack(coded), coded.header, frame, still)
+    return _size_with(pack(coded) if still is None else StillBody.from_sequence(coded), still)
 
 
 class StaticSize(NamedTuple):
@@ -99,31 +97,30 @@ def static_size(
     frames = cheapest_numbering(frames.header, order).renumber_frames(frames)
     header, uv_steps = with_quantised_uvs(frames.header, uv_error, uvs)
     points = next(iter(frames.blocks(1)))[0]
-    frame = points, choose_origin(points)
-    container = _pack_without_signals(header, frame[1], uv_steps, uv_error, order, chunk)
-    total = _size_with(container, header, frame, still)
+    origin = choose_origin(points)
+    container = _pack_without_signals(header, origin, uv_steps, uv_error, order, chunk)
+    body = StillBody(container, header, points, origin)
+    total = _size_with(container if still is None else body, still)
     connectivity, surface, _, *uv_sizes = map(len, header_streams(header, uv_steps))
     parts = {"faces": connectivity, "texture coordinates and the like": surface + sum(uv_sizes)}
     cures = ["give more"]
     if uv_sizes:
         cures.insert(0, "leave out texture coordinates (--no-uvs)")
     if still is not None:
-        parts["the first frame"] = total - _size_with(container, header, frame, "none")
+        parts["the first frame"] = total - _size_with(body, "none")
         if parts["the first frame"] > 0:
             cures.insert(0, "leave out the first frame (--still none)")
     parts["the container"] = total - sum(parts.values())
     return StaticSize(total, parts, cures)
 
 
-def _size_with(
-    container: Container, header: SequenceHeader, frame: tuple[FloatArray, Float], still: StillName | None
-) -> int:
-    """Return the size of a file of a container; the frame ``(V, 3)`` and its origin ``(3,)`` are for the still."""
-    if still is not None:
-        return container_size(container, header, *frame, still)
+def _size_with(contents: Container | StillBody, still: StillName | None) -> int:
+    """Return the size of a file: a .glb of a body with a still, HDF5 of a container."""
+    if isinstance(contents, StillBody):
+        return glb_size([contents], still or "none")
     buffer = BytesIO()
     with h5py.File(buffer, "w", libver=H5_VERSIONS) as file:
-        write_container(file, container)
+        write_container(file, contents)
     return buffer.getbuffer().nbytes
 
 
@@ -158,5 +155,5 @@ def _pack_without_signals(
         between=TemporalInterpolation(10 + _LONGEST_FRACTION, (_LONGEST_FRACTION,) * 2),
     )
     streams = pack(coded).streams + bytes(_INDEX_ENTRY_BYTES * (1 + len(coded.basis) + 3 * len(coded.chunks)))
-    with_parts = replace(coded, parts=np.arange(len(header.faces)) % len(_RANK_OF_PARTS))
+    with_parts = replace(coded, labels=FaceLabels(len(_RANK_OF_PARTS), b""))
     return Container(facts_json(with_parts), streams)

@@ -3,7 +3,7 @@
 The text is JSON with parameters, source, name, fps, up_axis, metres_per_unit, counts and first time. The order of the
 streams is connectivity, surface, times, texture coordinates and labels if any; every group of the spatial basis;
 coefficients, residual layer, and in-betweens if any, of every chunk. The dataset begins with an index of the lengths
-(LEB128) and CRC-32 checksums of all streams.
+(LEB128) and CRC-32 checksums of all streams. Every further body has a text and a dataset of its own.
 
 Times and surfaces are packed without loss. First differences of numbers are stored by byte: first bytes of all
 numbers, second bytes of all numbers, and so on. Most of these bytes are zero, so zlib compresses them well.
@@ -39,7 +39,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
 )
 from mixseq.compression.bitstream.connectivity import decode_polygons
 from mixseq.compression.bitstream.corner_values import decode_hard_edges, decode_uvs, encode_hard_edges
-from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, decode_face_labels
+from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, FaceLabels
 from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
@@ -47,6 +47,7 @@ from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, Surface
 from mixseq.sequence.events import describe_cuts
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
+from mixseq.signals.bodies import SAME_BODY, Relation
 from mixseq.types import Float, Index
 from mixseq_io.files import check_memory, format_gigabytes, max_memory
 from mixseq_io.reader import DamageError
@@ -94,6 +95,12 @@ class Container:
     text: bytes
     streams: bytes
     version: int = COMPRESSED_VERSION
+    bodies: tuple[Container, ...] = ()  # of further bodies
+
+    @property
+    def nbytes(self) -> int:
+        """Number of bytes of the streams of all bodies."""
+        return len(self.streams) + sum(each.nbytes for each in self.bodies)
 
 
 @dataclass(frozen=True)
@@ -411,20 +418,34 @@ def read_sequence(path: Path, container: Container) -> CompressedSequence:
     header = replace(
         header, provenance=replace(provenance, events=describe_cuts(between.cuts if between else (), header))
     )
-    parts = _face_labels(path, facts["coding"].get(LABEL_COUNT), header_data.get("labels", b""), header)
-    return CompressedSequence(header, parameters, basis, chunks, order, between, parts)
+    labels = _face_labels(path, facts["coding"].get(LABEL_COUNT), header_data.get("labels", b""))
+    bodies = tuple(read_sequence(path, each) for each in container.bodies)
+    relation = _relation(path, facts)
+    try:
+        return CompressedSequence(header, parameters, basis, chunks, order, between, labels, bodies, relation)
+    except SettingsError as error:
+        raise FormatError(f"{path}: {error}; it is damaged") from error
 
 
-def _face_labels(path: Path, count: object, data: bytes, header: SequenceHeader) -> Index | None:
-    """Decode the part ``(F,)`` of every triangle; None if the file has none."""
+def _relation(path: Path, facts: Mapping[str, Any]) -> Relation:
+    """Return the relation of a body to the first one; raise `FormatError` if it is invalid."""
+    try:
+        relation = Relation(**facts["relation"]) if "relation" in facts else SAME_BODY
+        turn = np.asarray(relation.turn, dtype=np.float64)
+        if turn.shape == (4,) and abs(np.linalg.norm(turn) - 1.0) < 1e-6 and isinstance(relation.same_parts, bool):
+            return relation._replace(turn=tuple(turn.tolist()))
+    except (TypeError, ValueError):
+        pass
+    raise FormatError(f"{path}: relation is {facts['relation']!r}; a quaternion is expected; it is damaged")
+
+
+def _face_labels(path: Path, count: object, data: bytes) -> FaceLabels | None:
+    """Return the coded parts of triangles; None if the file has none."""
     if count is None:
         return None
     if not (type(count) is int and 0 < count <= MAX_PARTS):
         raise FormatError(f"{path}: {LABEL_COUNT} is {count!r}; a whole number from 1 to {MAX_PARTS} is expected")
-    try:
-        return decode_face_labels(data, count, header.faces)
-    except FormatError as error:
-        raise FormatError(f"{path}: the labels of parts: {error}") from error
+    return FaceLabels(count, data)
 
 
 def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:

@@ -4,23 +4,26 @@ The text and streams are identical to the text and streams of an HDF5 file. They
 coordinates and hard edges, so a decoder reads only materials from primitives. Specification: ``docs/file-format.md``.
 
 The still is the first frame as ordinary glTF primitives by material, for viewers without the extension. It is
-compressed by Draco (11 bits for points, 7 for normals), plain float32, or a degenerate triangle per material. Materials
-are copied from the original by name. The text and streams precede textures in the file, for progressive loading. Frames
-and still are relative to the origin of the text, at which the node is.
+compressed by Draco (11 bits for points, 7 for normals), plain float32, or a degenerate triangle per material. Every
+body has a node in a scene of its own; viewers show the first scene. Materials are copied from the original by name. The
+text and streams precede textures in the file, for progressive loading. Frames and still are relative to the origin of
+the text, at which the node is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.choices import StillName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
-from mixseq.errors import AmbiguousError, FormatError
+from mixseq.errors import FormatError
 from mixseq.mesh.measures import NO_ORIGIN, corner_normals
 from mixseq.mesh.surface import Origin
 from mixseq.sequence.header import SequenceHeader
@@ -85,36 +88,31 @@ def has_sequence(path: Path) -> bool:
 
 
 def read_container(path: Path) -> Container:
-    """Read the text and streams of a .glb's mesh sequence."""
+    """Read the text and streams of a .glb's mesh sequences, the first body and further ones."""
     document = load_document(path)
-    extension = _find_sequence(document)
-    return Container(
-        text=_read_data(document, extension, "coding"),
-        streams=_read_data(document, extension, "streams"),
-        version=extension.integer("version"),
-    )
+    containers = [
+        Container(
+            text=_read_data(document, extension, "coding"),
+            streams=_read_data(document, extension, "streams"),
+            version=extension.integer("version"),
+        )
+        for extension in _list_sequences(document)
+    ]
+    if not containers:
+        raise FormatError(f"{document.path} has no compressed model; make one with mixseq encode --max-error")
+    return replace(containers[0], bodies=tuple(containers[1:]))
 
 
 def overhead_size(path: Path) -> int:
-    """Return the size in bytes of a .glb's contents outside the mesh sequence, such as the still and images."""
+    """Return the size in bytes of a .glb's contents outside mesh sequences, such as stills and images."""
     document = load_document(path)
-    extension = _find_sequence(document)
-    own = {extension.index(name) for name in ("coding", "streams")}
+    own = {extension.index(name) for extension in _list_sequences(document) for name in ("coding", "streams")}
     views = document.items("bufferViews")
     return sum(view.integer("byteLength") for index, view in enumerate(views) if index not in own)
 
 
-def _find_sequence(document: Document) -> Fields:
-    """Return the extension object of the only mesh sequence."""
-    sequences = _list_sequences(document)
-    if not sequences:
-        raise FormatError(f"{document.path} has no compressed model; make one with mixseq encode --max-error")
-    if len(sequences) > 1:
-        raise AmbiguousError(f"{document.path} has {len(sequences)} mesh sequences; files with one are read")
-    return sequences[0]
-
-
 def _list_sequences(document: Document) -> list[Fields]:
+    """Return the extension objects of all mesh sequences, one for each body."""
     extensions = [mesh.object("extensions") for mesh in document.items("meshes")]
     return [each.object(SEQUENCE_EXTENSION) for each in extensions if SEQUENCE_EXTENSION in each]
 
@@ -254,36 +252,52 @@ def _add_empty_accessor(layout: Layout, count: int, kind: str, component: int) -
     return append(layout.document, "accessors", entry)
 
 
+class StillBody(NamedTuple):
+    """A body in a .glb: its streams, and a frame as still."""
+
+    container: Container
+    header: SequenceHeader
+    points: FloatArray  # (V, 3) of the still
+    origin: Float  # (3,) at which its node is
+
+    @classmethod
+    def from_sequence(cls, coded: CompressedSequence) -> StillBody:
+        """Pack a compressed sequence, and decode its first frame."""
+        points, origin = decode(coded)(coded.header.times[0]), np.array(coded.parameters.origin or NO_ORIGIN)
+        return cls(pack(replace(coded, bodies=())), coded.header, points, origin)
+
+
 def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> None:
     """Write a compressed sequence as a .glb."""
-    write_container(path, pack(coded), coded.header, *first_frame(coded), still)
+    write_bodies(path, map(StillBody.from_sequence, coded.all_bodies), still)
 
 
-def first_frame(coded: CompressedSequence) -> tuple[Float, Float]:
-    """Decode the first frame ``(V, 3)`` of a compressed sequence; return it and the origin ``(3,)``."""
-    return decode(coded)(coded.header.times[0]), np.array(coded.parameters.origin or NO_ORIGIN)
-
-
-def write_container(
-    path: Path, container: Container, header: SequenceHeader, points: FloatArray, origin: Float, still: StillName
-) -> None:
-    """Write a .glb with text, streams and a still of `points` ``(V, 3)``, whose node is at an origin ``(3,)``."""
-    layout = _create_layout(header, points, origin, container, still)
-    with open_buffer_writer(path, layout):
+def write_bodies(path: Path, bodies: Iterable[StillBody], still: StillName) -> None:
+    """Write a .glb with the streams of bodies, and their stills, each in a scene of its own."""
+    with open_buffer_writer(path, _create_layout(bodies, still)):
         pass
 
 
-def container_size(
-    container: Container, header: SequenceHeader, points: FloatArray, origin: Float, still: StillName
-) -> int:
-    """Return the size in bytes of the .glb that `write_container` writes."""
-    return compute_glb_size(_create_layout(header, points, origin, container, still))
+def glb_size(bodies: Iterable[StillBody], still: StillName) -> int:
+    """Return the size in bytes of the .glb that `write_bodies` writes."""
+    return compute_glb_size(_create_layout(bodies, still))
 
 
-def _create_layout(
-    header: SequenceHeader, points: FloatArray, origin: Float, container: Container, still: StillName
-) -> Layout:
+def _create_layout(bodies: Iterable[StillBody], still: StillName) -> Layout:
     layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR_NAME}})
+    document = layout.document
+    nodes = [append(document, "nodes", _add_body(layout, body, still)) for body in bodies]
+    document["scene"], document["scenes"] = 0, [{"nodes": [node]} for node in nodes]
+    document["extensionsUsed"] = sorted(collect_extensions(document))
+    required = {"draco": DRACO_EXTENSION, "none": SEQUENCE_EXTENSION}.get(still)
+    if required in document["extensionsUsed"]:
+        document["extensionsRequired"] = [required]
+    return layout
+
+
+def _add_body(layout: Layout, body: StillBody, still: StillName) -> Json:
+    """Add the mesh of a body; return the node that has it."""
+    container, header, points, origin = body
     coding = layout.add([container.text], len(container.text))
     streams = layout.add([container.streams], len(container.streams))
     mesh = as_one_mesh(header)
@@ -293,17 +307,6 @@ def _create_layout(
     extension: Json = {"version": container.version, "coding": coding, "streams": streams}
     if len(primitives) > 1:
         extension["polygons"] = encode_polygon_runs(mesh)
-    document = layout.document
-    entry = {
-        **name_member(header.name),
-        "primitives": primitives,
-        "extensions": {SEQUENCE_EXTENSION: extension},
-    }
-    transform = node_transform(header, origin)
-    node = {**name_member(header.name), "mesh": append(document, "meshes", entry), **transform}
-    document["scene"], document["scenes"] = 0, [{"nodes": [append(document, "nodes", node)]}]
-    document["extensionsUsed"] = sorted(collect_extensions(document))
-    required = {"draco": DRACO_EXTENSION, "none": SEQUENCE_EXTENSION}.get(still)
-    if required in document["extensionsUsed"]:
-        document["extensionsRequired"] = [required]
-    return layout
+    name = name_member(header.name)
+    entry = {**name, "primitives": primitives, "extensions": {SEQUENCE_EXTENSION: extension}}
+    return {**name, "mesh": append(layout.document, "meshes", entry), **node_transform(header, origin)}

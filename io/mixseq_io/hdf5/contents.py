@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,17 +87,27 @@ MODEL_FORMAT = "mixseq-model"
 
 
 def parse_container(file: Contents) -> Container:
-    """Return the text and streams of a compressed model."""
+    """Return the text and streams of a compressed model, and of its further bodies."""
     from mixseq_io.coded.streams import Container
 
     with translate_h5_errors(file.path):
         if file.kind != MODEL_FORMAT or "coding" not in file.attrs:
             raise FormatError(f"{file.path} is not a compressed model; make one with mixseq encode --max-error")
-        return Container(
-            text=bytes(file.attrs["coding"]),
-            streams=file.arrays["streams"].astype(np.uint8).tobytes(),
-            version=int(file.attrs["version"]),
+        own, *bodies = (
+            Container(
+                text=bytes(each.attrs["coding"]),
+                streams=each.arrays["streams"].astype(np.uint8).tobytes(),
+                version=int(file.attrs["version"]),
+            )
+            for each in (file, *bodies_of(file))
         )
+        return replace(own, bodies=tuple(bodies))
+
+
+def bodies_of(file: Contents) -> list[Contents]:
+    """Return the groups of the further bodies of a model: ``bodies/0``, ``bodies/1``, ..."""
+    count = sum(name.startswith("bodies/") and name.count("/") == 1 for name in file.attributes)
+    return [file.group(f"bodies/{number}") for number in range(count)]
 
 
 def check_version(file: Contents, supported: int) -> None:

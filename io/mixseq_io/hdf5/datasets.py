@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.errors import FormatError
+from mixseq.errors import FormatError, OutputError
 from mixseq.runtime.interrupts import uninterrupted
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MAX_LENGTH, MIN_LENGTH
@@ -61,6 +61,17 @@ def _chunk_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
         return (min(shape[0], _CHUNK_ROWS * _CHUNK_COLUMNS),)
     count, columns, *rest = shape
     return (min(count, _CHUNK_ROWS), min(columns, max(1, _CHUNK_COLUMNS // prod(rest))), *rest)
+
+
+MAX_BODIES = 100
+"""Largest number of further bodies in a file."""
+
+
+def body_groups(file: h5py.File, count: int) -> Iterator[h5py.Group]:
+    """Return an iterator that makes the groups of further bodies: ``bodies/0``, ``bodies/1``, ..."""
+    if count > MAX_BODIES:
+        raise OutputError(f"the model has {count} further bodies; a file holds {MAX_BODIES}")
+    return (file.require_group(f"bodies/{number}") for number in range(count))
 
 
 def write_header(file: h5py.Group, header: SequenceHeader) -> None:

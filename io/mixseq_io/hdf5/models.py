@@ -31,9 +31,10 @@ from mixseq.spaces.mixed.articulation import STEADINESS_RANGE, Steadiness
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.types import Float, index_mask
 from mixseq.version import __version__
-from mixseq_io.hdf5.contents import MODEL_FORMAT, Contents, check_version, read_header
+from mixseq_io.hdf5.contents import MODEL_FORMAT, Contents, bodies_of, check_version, read_header
 from mixseq_io.hdf5.datasets import (
     MAX_LENGTH_DIAGONALS,
+    body_groups,
     read_floats,
     read_increasing_times,
     read_index_lists,
@@ -53,9 +54,6 @@ MODEL_VERSION = 1
 _WEIGHT_SUM_TOLERANCE = 1e-9
 _MIN_QUATERNION_NORM = 0.5
 _MAX_TURN = 2.0
-
-MAX_BODIES = 100
-"""Largest number of further bodies in a file."""
 
 
 def write_mixed_space(file: h5py.Group, space: MixedSpace) -> None:
@@ -369,16 +367,15 @@ def read_body(file: Contents, model: Model) -> Body:
 def write_model(file: h5py.File, model: Model) -> None:
     """Store a model in a new file; raise `OutputError` if its shape space cannot be stored."""
     space = _check_stored(model.space)
-    if len(model.bodies) > MAX_BODIES:
-        raise OutputError(f"the model has {len(model.bodies)} further bodies; a file holds {MAX_BODIES}")
+    groups = body_groups(file, len(model.bodies))
     write_text(file, "format", MODEL_FORMAT)
     file.attrs["version"] = MODEL_VERSION
     write_text(file, "created_by", f"mixseq {__version__}")
     _write_mesh(file, model.header)
     write_space(file, space)
     write_signals(file, model, space)
-    for number, body in enumerate(model.bodies):
-        write_body(file.require_group(f"bodies/{number}"), body)
+    for body, group in zip(model.bodies, groups, strict=True):
+        write_body(group, body)
 
 
 def read_model(file: Contents) -> Model:
@@ -387,8 +384,7 @@ def read_model(file: Contents) -> Model:
     try:
         header = _read_mesh(file, read_increasing_times(file, "signals/time/frames"))
         model = read_signals(file, header, read_space(file, header))
-        count = sum(name.startswith("bodies/") and name.count("/") == 1 for name in file.attributes)
-        bodies = tuple(read_body(file.group(f"bodies/{number}"), model) for number in range(count))
+        bodies = tuple(read_body(each, model) for each in bodies_of(file))
         return replace(model, bodies=bodies) if bodies else model
     except (InvalidSequenceError, SettingsError, ReconstructionError, IndexError) as error:
         raise FormatError(f"{file.path}: {error}; it is damaged") from error

@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Ar, Gf, Sdf, Usd, UsdUtils, Vt
+from pxr import Ar, Sdf, Usd, UsdGeom, UsdUtils, Vt
 
 from mixseq.errors import OutputError
 from mixseq.mesh.measures import bounding_box, corner_normals
@@ -149,12 +149,15 @@ def _attribute_values(
     local = _transform(points, prims, to_local, 1.0)
     if local.dtype != np.float32:
         local = as_float32(local[None], frame, "USD")[0]
+    mesh_points = [Vt.Vec3fArrayFromBuffer(mesh.point_values(local)) for mesh in prims.meshes]
+    extents = [UsdGeom.PointBased.ComputeExtent(each) for each in mesh_points]
     if points.dtype != np.float32:
-        rounding.measure(frame, points, _transform(local, prims, [space.to_world for space in spaces], 1.0))
-    for mesh, space in zip(prims.meshes, spaces, strict=True):
-        mesh_points = mesh.point_values(local)
-        yield f"{mesh.path}.points", Vt.Vec3fArrayFromBuffer(mesh_points)
-        yield f"{mesh.path}.extent", compute_extent(mesh_points)
+        world = _transform(local, prims, [space.to_world for space in spaces], 1.0)
+        boxes = [np.array(extent) for extent, each in zip(extents, mesh_points, strict=True) if len(each)]
+        rounding.measure(frame, points, world, np.concatenate(boxes) if world is local and boxes else None)
+    for mesh, space, values, extent in zip(prims.meshes, spaces, mesh_points, extents, strict=True):
+        yield f"{mesh.path}.points", values
+        yield f"{mesh.path}.extent", extent
         if mesh.normals:
             normals = _compute_normals(mesh.normals, mesh.scene_mesh, points, space)
             yield f"{mesh.path}.{mesh.normals.attribute}", Vt.Vec3fArrayFromBuffer(normals)
@@ -164,8 +167,9 @@ def _attribute_values(
         for mesh in prims.meshes:
             if mesh.has_velocities:
                 yield f"{mesh.path}.velocities", Vt.Vec3fArrayFromBuffer(mesh.point_values(local))
-    for extent in prims.extents:
-        yield f"{extent.path}.extent", compute_extent(_box_corners(extent, points, time))
+    for parent in prims.extents:
+        corners = _box_corners(parent, points, time).astype(np.float32)
+        yield f"{parent.path}.extent", UsdGeom.PointBased.ComputeExtent(Vt.Vec3fArrayFromBuffer(corners))
 
 
 def _transform(vectors: FloatArray, prims: SampledPrims, matrices: Sequence[Float], weight: float) -> FloatArray:
@@ -198,13 +202,6 @@ def _box_corners(extent: SampledExtent, points: FloatArray, time: float) -> Floa
     corners = np.array([corner for box in boxes for corner in product(*box)], dtype=np.float64).reshape(-1, 3)
     to_local = extent.space(time).to_local
     return np.concatenate([corners @ to_local[:3, :3] + to_local[3, :3], extent.other_corners(time)])
-
-
-def compute_extent(points: FloatArray) -> Any:
-    """Return the bounding box of points ``(n, 3)`` as a USD extent."""
-    if not len(points):
-        return Vt.Vec3fArray([Gf.Range3f().GetMin(), Gf.Range3f().GetMax()])  # USD's empty box
-    return Vt.Vec3fArrayFromBuffer(np.stack(bounding_box(points)).astype(np.float32))
 
 
 _BYTES_BETWEEN_SAVES = 64 << 20

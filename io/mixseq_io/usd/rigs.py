@@ -39,7 +39,6 @@ from mixseq_io.rig_arrays import (
 from mixseq_io.surfaces import RoundingMonitor
 from mixseq_io.usd.layers import (
     SampledMesh,
-    compute_extent,
     compute_frame_values,
     declare_attributes,
     write_package,
@@ -137,7 +136,7 @@ def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
     extent = UsdGeom.Boundable(root).CreateExtentAttr()
     frames = (points for block in rig.blocks() for points in block)
     for code, points in zip(codes.tolist(), frames, strict=True):
-        extent.Set(compute_extent(points), code)
+        extent.Set(UsdGeom.PointBased.ComputeExtent(Vt.Vec3fArrayFromBuffer(points.astype(np.float32))), code)
 
 
 def _define_joints(skeleton: UsdSkel.Skeleton, joints: Skeleton) -> None:

@@ -24,9 +24,11 @@ from mixseq.compression.bitstream.spatial_basis import (
     MAX_NORM,
     MAX_PARTS,
     BasisKind,
+    FaceLabels,
     SpatialBasis,
     affine_basis,
     assemble_basis,
+    decode_face_labels,
     label_vertices,
     part_groups,
     read_basis,
@@ -38,6 +40,7 @@ from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.bodies import SAME_BODY, Relation
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, select_operator
@@ -199,18 +202,38 @@ class CompressedSequence(PickledWithoutCaches):
     order: OrderName = "keep"
     # Interpolation of coefficients between frames. None if the decoder chooses it.
     between: TemporalInterpolation | None = None
-    # Part (F,) of every triangle, used by `CompressedModel` between frames. None if found from the decoded frames.
-    parts: Index | None = None
+    # Parts of triangles, used by `CompressedModel` between frames. None if found from the decoded frames.
+    labels: FaceLabels | None = None
+    # Further bodies, other meshes at the same times, each with its own streams and none of these.
+    bodies: tuple[CompressedSequence, ...] = ()
+    relation: Relation = SAME_BODY  # of a further body to the first
+
+    def __post_init__(self) -> None:
+        if len({each.header.name for each in self.all_bodies}) <= len(self.bodies):
+            raise SettingsError(f"two bodies have the same name, {self.header.name!r}")
+        for body in self.bodies:
+            if body.bodies or not np.array_equal(body.header.times, self.header.times):
+                raise SettingsError(f"the body {body.header.name!r} has other times than {self.header.name!r}")
 
     def __repr__(self) -> str:
         bound = f"{'within' if self.parameters.promised else 'error'} {self.parameters.max_error:.3g} diagonals"
         return f"CompressedSequence({self.header!r}, {self.nbytes} bytes of signals, {bound})"
 
     @property
+    def all_bodies(self) -> tuple[CompressedSequence, ...]:
+        """The sequence itself, and its further bodies."""
+        return self, *self.bodies
+
+    @property
     def nbytes(self) -> int:
-        """Number of bytes of the signals; a file also holds the mesh."""
+        """Number of bytes of the signals of all bodies; a file also holds their meshes."""
         chunks = (part for each in self.chunks for part in (each.coefficients, each.residuals, each.inbetweens))
-        return sum(map(len, (*self.basis, *chunks)))
+        return sum(map(len, (*self.basis, *chunks))) + sum(each.nbytes for each in self.bodies)
+
+    @cached_property
+    def parts(self) -> Index | None:
+        """Part ``(F,)`` of every triangle; None if the file has none."""
+        return decode_face_labels(self.labels, self.header.faces)
 
     @cached_property
     def model(self) -> Decodable:
@@ -245,6 +268,13 @@ class Playback(Decodable, PickledWithoutCaches):
     inbetweens: tuple[Float, ...] = ()
     origin: tuple[float, ...] = ()  # origin (x, y, z) of positions; empty if it is zero
     parts_basis: SpatialBasis | None = None  # affine basis of in-betweens; None if it is the spatial basis
+    labels: FaceLabels | None = None  # parts of triangles
+    relation: Relation = SAME_BODY  # of a further body to the first
+
+    @cached_property
+    def parts(self) -> Index | None:
+        """Part ``(F,)`` of every triangle, decoded when first needed, which takes a tenth of opening a file."""
+        return decode_face_labels(self.labels, self.header.faces)
 
     @property
     def inbetween_basis(self) -> SpatialBasis:
@@ -356,7 +386,8 @@ def decode(coded: CompressedSequence, cuts: tuple[int, ...] = ()) -> Playback:
         operator = select_operator(header.times[first:end], longest.reshape(len(longest), -1))
         between = TemporalInterpolation(operator.length_scale, operator.cubic_shares, cuts)
     origin = coded.parameters.origin
-    return Playback(header, basis, coefficients, between, residual_layer, inbetweens, origin, parts_basis)
+    optional = inbetweens, origin, parts_basis, coded.labels, coded.relation
+    return Playback(header, basis, coefficients, between, residual_layer, *optional)
 
 
 def parts_basis_of(coded: CompressedSequence, basis: SpatialBasis, coefficients: Float) -> SpatialBasis:

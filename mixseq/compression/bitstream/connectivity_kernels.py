@@ -100,7 +100,7 @@ def new_half_edges(corner_count: int, vertex_count: int) -> HalfEdges:
     )
 
 
-@compiled
+@force_inlined
 def vertex_rank(mesh: HalfEdges, state: int, vertex: int) -> int:
     """Return the number of vertices of a state before a vertex, from 0 to V."""
     rank = 0
@@ -110,7 +110,7 @@ def vertex_rank(mesh: HalfEdges, state: int, vertex: int) -> int:
     return rank
 
 
-@compiled
+@force_inlined
 def vertex_at_rank(mesh: HalfEdges, state: int, rank: int) -> int:
     """Return the vertex of a state with a rank, which must be below the number of vertices of this state."""
     count = mesh.trees.shape[1]
@@ -126,7 +126,7 @@ def vertex_at_rank(mesh: HalfEdges, state: int, rank: int) -> int:
     return vertex
 
 
-@compiled
+@force_inlined
 def set_state(mesh: HalfEdges, vertex: int, state: int) -> None:
     """Set the state of a vertex."""
     old = mesh.states[vertex]
@@ -146,7 +146,7 @@ def set_state(mesh: HalfEdges, vertex: int, state: int) -> None:
         node += node & -node
 
 
-@compiled
+@force_inlined
 def add_polygon(mesh: HalfEdges, indices: Index, start: int, stop: int) -> None:
     """Add the polygon with the corners from `start` to below `stop`."""
     for corner in range(start, stop):
@@ -488,7 +488,7 @@ def _code_unguessed(
     return vertex, GUESS_COUNT + state
 
 
-@compiled
+@force_inlined
 def _code_number(bits: HashedBits, history: History, topic: int, number: int) -> int:
     """Code a number: whether it is not 0, its sign, the bit length of its magnitude, and the bits after the highest."""
     magnitude = abs(number)

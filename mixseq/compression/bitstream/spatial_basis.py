@@ -93,17 +93,27 @@ def read_labels(reader: Reader, part_count: int, graph: SignalGraph) -> Index:
     return labels
 
 
-def encode_face_labels(labels: Index, faces: NDArray[np.integer]) -> bytes:
+@dataclass(frozen=True)
+class FaceLabels:
+    """The coded labels of triangles in `count` parts."""
+
+    count: int
+    data: bytes
+
+
+def encode_face_labels(labels: Index, faces: NDArray[np.integer]) -> FaceLabels:
     """Code the labels ``(F,)``, below `MAX_PARTS`, of triangles ``(F, 3)``."""
     writer = Writer()
     write_labels(writer, labels, _face_graph(faces))
-    return writer.finish()
+    return FaceLabels(int(labels.max()) + 1, writer.finish())
 
 
-def decode_face_labels(data: bytes, part_count: int, faces: NDArray[np.integer]) -> Index:
-    """Decode the labels ``(F,)`` of triangles ``(F, 3)`` in `part_count` parts."""
-    reader = Reader(data)
-    labels = read_labels(reader, part_count, _face_graph(faces))
+def decode_face_labels(coded: FaceLabels | None, faces: NDArray[np.integer]) -> Index | None:
+    """Decode the labels ``(F,)`` of triangles ``(F, 3)``; None if there are none."""
+    if coded is None:
+        return None
+    reader = Reader(coded.data)
+    labels = read_labels(reader, coded.count, _face_graph(faces))
     reader.finish()
     return labels
 

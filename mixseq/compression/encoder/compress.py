@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
     Playback,
     decode,
 )
-from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, encode_face_labels
+from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, FaceLabels, encode_face_labels
 from mixseq.compression.encoder.inbetweens import add_inbetweens
 from mixseq.compression.encoder.search import MAX_ROUNDS, Search
 from mixseq.compression.encoder.trial import DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRAMES, residual_unit
@@ -32,7 +32,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import return_freed_memory
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
-from mixseq.runtime.public import FileOr, HasFrames, public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.events import CutChoice, describe_cuts, find_events
 from mixseq.sequence.sequence import (
     Frames,
@@ -45,13 +45,13 @@ from mixseq.sequence.sequence import (
     rounding_error,
     rounding_margin,
 )
+from mixseq.signals.model import Model
 from mixseq.spaces.making import MixedSettings, segment_faces
-from mixseq.types import Index
 
 
 @public
 def compress(
-    sequence: FileOr[Frames | HasFrames],
+    sequence: FileOr[Frames | Model],
     max_error: float | None = None,
     kg: float | None = None,
     size: int | None = None,
@@ -72,8 +72,8 @@ def compress(
 
     Parameters
     ----------
-    sequence : MeshSequence or SequenceReader
-        The animation.
+    sequence : MeshSequence, SequenceReader or Model
+        The animation. Of a model, all bodies are compressed, each to the same error.
     max_error : float, optional
         Guaranteed largest distance of a vertex from the original at any frame, as a fraction of the bounding box's
         diagonal in the first frame, or in the largest frame if the first is a point.
@@ -116,8 +116,9 @@ def compress(
     ------
     SettingsError
         If not exactly one of `max_error`, `kg` and `size` is given, or its value is out of range; if `size` is too
-        small; if `max_error` is below the precision of the coordinates; if `uv_error` is not from 0 to 0.25; if `order`
-        is unknown; if `chunk` is not from 16 to 4096; or if the bound cannot be kept between frames.
+        small, or given for several bodies; if `max_error` is below the precision of the coordinates; if `uv_error` is
+        not from 0 to 0.25; if `order` is unknown; if `chunk` is not from 16 to 4096; or if the bound cannot be kept
+        between frames.
     SegmentationError
         If `parts` does not fit the mesh.
     FormatError, InvalidSequenceError
@@ -131,9 +132,21 @@ def compress(
     >>> mixseq.compare("arm.usdc", "small.h5").max_error < 1e-3
     True
     """
+    _check_target(max_error, kg, size)
+    if isinstance(sequence, Model):
+        options: dict[str, Any] = {
+            **{"uv_error": uv_error, "uvs": uvs, "order": order, "chunk": chunk, "parts": parts, "cuts": cuts},
+            **{"inbetweens": inbetweens, "between_frames": between_frames},
+        }
+        if size is not None and sequence.body_names[1:]:
+            raise SettingsError("size is for one body, and the model has several; give max_error or kg")
+        first, *others = (
+            replace(compress(frames, max_error, kg, size, progress, **options), relation=relation)
+            for frames, relation in zip(sequence.frames_of_bodies(), sequence.relations, strict=True)
+        )
+        return replace(first, bodies=tuple(others))
     sequence = cast("Frames", sequence)
     check_motion(sequence)
-    _check_target(max_error, kg, size)
     if between_frames and not (inbetweens and max_error is not None):
         raise SettingsError(
             "between_frames keeps max_error by in-betweens; give max_error, and leave out inbetweens=False"
@@ -154,15 +167,15 @@ def compress(
         unit = frames.diagonal or 1.0
         labels = _segment(frames, parts)
         if size is not None and labels is not None:
-            size -= len(encode_face_labels(labels, header.faces))
-        coded = _search_streams(frames, stages, chunk, unit, max_error, kg, size)
+            size -= len(labels.data)
+        coded = replace(_search_streams(frames, stages, chunk, unit, max_error, kg, size), labels=labels)
         return_freed_memory()
         stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
         events = find_events(frames.points, header.times, Topology(header.faces, header.vertex_count))
         whole = events.with_cuts(cuts, header).whole
         playback = decode(coded, tuple(k + 1 for k in sorted({*whole.cuts, *whole.pops})))
         parameters = _measure_errors(frames, playback, coded.parameters, max_error, kg)
-        coded = replace(coded, parameters=parameters, between=playback.between, order=order, parts=labels)
+        coded = replace(coded, parameters=parameters, between=playback.between, order=order)
         return_freed_memory()
         if inbetweens:
             coded = add_inbetweens(coded, playback, size, between_frames, stages.at(2 + MAX_ROUNDS))
@@ -176,13 +189,13 @@ def compress(
     return replace(coded, header=header, parameters=parameters)
 
 
-def _segment(frames: FrameStore, parts: int | ArrayLike | None) -> Index | None:
-    """Return the part ``(F,)`` of every triangle; None if there are too many parts to be stored."""
+def _segment(frames: FrameStore, parts: int | ArrayLike | None) -> FaceLabels | None:
+    """Return the parts of triangles; None if there are too many to be stored."""
     topology = Topology(frames.header.faces, frames.header.vertex_count)
     labels = segment_faces(frames, MixedSettings(parts=parts), topology)
     count = int(labels.max()) + 1
     if count <= MAX_PARTS:
-        return labels
+        return encode_face_labels(labels, topology.faces)
     if parts is not None:
         warnings.warn(
             f"{frames.header.name!r}: there are {count} parts; {MAX_PARTS} can be stored, so decoders find parts again",

@@ -78,7 +78,7 @@ def add_inbetweens(
     max_bytes = MAX_SIZE_RATIO * bytes_at_frames if size is None else size - bytes_at_frames
     max_bytes, max_error_ratio = (np.inf, np.inf) if between else (max_bytes, MAX_ERROR_RATIO)
     try:
-        model = CompressedModel.from_playback(playback, coded.parts).fit(progress)
+        model = CompressedModel.from_playbacks([playback]).fit(progress)
     except MixseqError as error:
         if between:
             raise
@@ -99,7 +99,7 @@ def add_inbetweens(
 
     bound = parameters.max_error * parameters.diagonal
     found = _add_levels(coded, playback, exact, max_bytes, max_error_ratio)
-    if found.largest > bound and coded.parts is not None:
+    if found.largest > bound and coded.labels is not None:
         of_parts = replace(playback, parts_basis=parts_basis_of(coded, playback.basis, playback.coefficients))
         found = min(found, _add_levels(coded, of_parts, exact, max_bytes, max_error_ratio), key=error_of)
     largest_error = found.largest

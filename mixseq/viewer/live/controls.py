@@ -19,12 +19,15 @@ from mixseq.operations.sketch import default_reach, drag, sketch
 from mixseq.operations.timeline import cut, loop, repeat, reverse
 from mixseq.pictures.charts import chart_data
 from mixseq.pictures.colours import Colouring, SceneColours
+from mixseq.pictures.scene import model_times
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Plane
 from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq.viewer.live.stage import LiveStage
+from mixseq.types import Float
+from mixseq.viewer.live.stage import PICK_COLOUR, LiveStage
 from mixseq.viewer.page import script_json
 from mixseq.viewer.playback import Moment, Playback
+from mixseq.viewer.posing import PoseTool
 from mixseq.viewer.session import Drag, Edit, Mark, Message, Play, Retime, Seek, Session, Sketch, Transport
 
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
@@ -155,12 +158,6 @@ def _text_line(text: str, name: str) -> str:
     return f'<div id="{name}" style="padding: 0 12px; font-size: 12px; opacity: 0.75">{escape(text)}</div>'
 
 
-def _icon(name: str) -> Any:
-    from viser import Icon
-
-    return getattr(Icon, name)
-
-
 def notify(client: Any, title: str, text: str, is_success: bool = False) -> None:
     """Show a notification on a page for a few seconds."""
     client.add_notification(title, text, auto_close_seconds=6.0, color="teal" if is_success else "red")
@@ -182,7 +179,7 @@ class SaveControls:
         with gui.add_folder("Save"):
             self._name = gui.add_text("File", name, hint=f"A model (.h5), or a sequence in any format, in {folder}")
             self._replace = gui.add_checkbox("Replace", False, hint="Replace an existing file")
-            self._button = gui.add_button("Save", icon=_icon("DEVICE_FLOPPY"))
+            self._button = gui.add_button("Save")
         self._button.on_click(self._clicked)
 
     def set_name(self, name: str) -> None:
@@ -288,6 +285,88 @@ def _fits(model: Model, plane: Plane) -> bool:
     return True
 
 
+HANDLE_COLOUR = (230, 120, 0)
+
+
+class PoseControls:
+    """Controls that pose the edited model by dragging its mesh."""
+
+    def __init__(self, server: Any, session: Session, playback: Playback, stage: LiveStage) -> None:
+        gui = server.gui
+        self._server, self._session, self._playback, self._stage = server, session, playback, stage
+        self._tool = PoseTool(session)
+        self._on = gui.add_checkbox("Pose", False, hint="Drag points of the mesh; a click pins one. Enter applies")
+        self._exact = gui.add_checkbox("Exact", False, visible=False, hint="Deform the mesh where poses do not reach")
+        self._buttons = gui.add_button_group("Pose", ("Apply", "Cancel"), visible=False)
+        self._text = gui.add_html("", visible=False)
+        self._reach = 0.0
+        self.is_on = False  # whether the mouse poses the mesh
+        self._on.on_update(lambda _: self.set_on(bool(self._on.value)))
+        self._exact.on_update(lambda _: self._tool.set_exact(self._exact.value))
+        self._buttons.on_click(lambda _: self._apply() if self._buttons.value == "Apply" else self.cancel())
+        gui.add_command("Apply pose", hotkey="enter").on_trigger(lambda _: self._apply())
+        gui.add_command("Cancel pose", hotkey="escape").on_trigger(lambda _: self.cancel())
+
+    def set_on(self, is_on: bool) -> None:
+        """Pose the mesh by dragging (`is_on`), or turn the camera, and cancel the pose."""
+        if is_on == self.is_on:
+            return
+        if is_on:
+            try:
+                self._tool.check()
+            except SettingsError as error:
+                self._on.value = False
+                notify_all(self._server, "Pose: not done", str(error))
+                return
+        self._on.value = self.is_on = is_on
+        self.cancel()
+        for control in (self._exact, self._buttons, self._text):
+            control.visible = is_on
+        self._stage.set_dragging(self._drag if is_on else None)
+
+    def set_reach(self, seconds: float) -> None:
+        """Set the seconds in which poses fade in and out."""
+        self._reach = seconds
+
+    def click(self, vertex: int) -> None:
+        """Pin a vertex, or remove its pin or handle."""
+        self._tool.toggle(vertex)
+        self._show_handles()
+
+    def cancel(self) -> bool:
+        """Remove all handles and pins; return False if there are none."""
+        is_pending = self._tool.cancel()
+        self._show_handles()
+        return is_pending
+
+    def show(self) -> None:
+        """Show the pending pose again, after the session has shown something else."""
+        self._tool.show()
+
+    def _apply(self) -> None:
+        self._tool.apply(self._reach)
+        self._show_handles()
+
+    def _drag(self, index: int, vertex: int, target: Float) -> None:
+        if index != self._session.index:
+            return
+        self._playback.pause()
+        elapsed = np.array([self._playback.scene.elapsed(self._playback.frame)])
+        try:
+            self._tool.drag(vertex, target, float(model_times(self._session.model.header, elapsed)[0]))
+        except SettingsError as error:
+            notify_all(self._server, "Pose: not done", str(error))
+        self._show_handles()
+
+    def _show_handles(self) -> None:
+        pending = self._tool.pending
+        self._text.content = _text_line(f"{pending}" or "Drag the mesh, or click it to pin a point", "mixseq-pose")
+        colours = {
+            vertex: PICK_COLOUR if target is None else HANDLE_COLOUR for vertex, target in pending.targets.items()
+        }
+        self._stage.set_handles(self._session.index, colours, self.click)
+
+
 WHOLE_BODY = "whole body"
 
 MIN_DURATION = 1e-3
@@ -297,7 +376,7 @@ MIN_DURATION = 1e-3
 class Editor:
     """Editing controls: charts, undo, sections, parts and saving."""
 
-    def __init__(self, server: Any, session: Session, playback: Playback, folder: Path) -> None:
+    def __init__(self, server: Any, session: Session, playback: Playback, stage: LiveStage, folder: Path) -> None:
         gui, model = server.gui, session.model
         self._session = session
         self._playback = playback
@@ -310,17 +389,18 @@ class Editor:
             if len(session.editable_ids) > 1:
                 names = {playback.scene.items[index].name: index for index in session.editable_ids}
                 which = gui.add_dropdown("Model", tuple(names))
-                which.on_update(lambda _: session.select(names[which.value]))
+                which.on_update(lambda _: self._select(names[which.value]))
             self._undo = gui.add_button_group("Steps", ("Undo", "Redo"))
             self._steps = gui.add_html("")
             pen = gui.add_checkbox("Pen", False, hint="Draw a new curve (or drag with shift)")
+            self.posing = PoseControls(server, session, playback, stage)
             self._seconds = gui.add_number("Draw for (s)", duration(model), min=MIN_DURATION, step=0.05)
             self._reach = gui.add_number(
                 "Drag over (s)",
                 reach_of(model),
                 min=MIN_DURATION,
                 step=0.01,
-                hint="Time before and after the point within which the curve follows it",
+                hint="Time before and after the point within which the curve follows it, and poses fade",
             )
             self._times = gui.add_number(
                 "Times", 2, min=1, max=100, step=1, hint="Repetitions of the section between the marks in and out"
@@ -331,19 +411,34 @@ class Editor:
             parts = gui.add_button_group("", ("Exaggerate", "Hold"))
         self._show_steps()  # a line that is added later would move the controls below it
         self._save_controls = SaveControls(server, folder, self._default_name, session.save)
-        self._undo.on_click(lambda _: session.undo() if self._undo.value == "Undo" else session.redo())
+        self.posing.set_reach(reach_of(model))
+        self._undo.on_click(lambda _: self._undo_step() if self._undo.value == "Undo" else session.redo())
         pen.on_update(lambda _: charts.set_pen(pen.value))
         self._seconds.on_update(lambda _: charts.set_duration(float(self._seconds.value)))
-        self._reach.on_update(lambda _: charts.set_reach(float(self._reach.value)))
+        self._reach.on_update(lambda _: self._set_reach(float(self._reach.value)))
         sections.on_click(lambda _: self._edit_section(sections.value))
         parts.on_click(lambda event: self._edit_part(parts.value, event.client))
-        gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda _: session.undo())
+        gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda _: self._undo_step())
         gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda _: session.redo())
 
     def show_edit(self) -> None:
         """Show the model after an edit, and keep the settings that are still valid."""
         self.charts.draw()
         self._show_steps()
+        self.posing.show()
+
+    def _select(self, index: int) -> None:
+        self.posing.set_on(False)
+        self._session.select(index)
+
+    def _undo_step(self) -> None:
+        """Undo the pose that is not applied yet, or the last step."""
+        if not self.posing.cancel():
+            self._session.undo()
+
+    def _set_reach(self, seconds: float) -> None:
+        self.charts.set_reach(seconds)
+        self.posing.set_reach(seconds)
 
     def _show_steps(self) -> None:
         history = self._session.history

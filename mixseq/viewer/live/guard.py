@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from ipaddress import ip_address
 from time import monotonic
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 from urllib.parse import parse_qs, urlsplit
 
 import msgspec
@@ -151,6 +151,21 @@ class Click(ClientMessage, tag="SceneNodeClickMessage"):
     owner: Text = ""
 
 
+class Drag(ClientMessage, tag="SceneNodeDragMessage"):
+    """Drag of a mesh: where it began, and where the pointer is."""
+
+    phase: Literal["start", "update", "end"]
+    name: Text
+    instance_index: int | None
+    start_position: Triple
+    start_screen_pos: Pair
+    end_position: Triple
+    end_screen_pos: Pair
+    button: Literal["left"]
+    modifier: Text | None = None
+    owner: Text = ""
+
+
 class Command(ClientMessage, tag="CommandTriggerMessage"):
     """Keyboard shortcut."""
 
@@ -170,7 +185,7 @@ class ControlUpdate(ClientMessage, tag="GuiUpdateMessage"):
     updates: ControlValue
 
 
-_MESSAGE_DECODER = msgspec.msgpack.Decoder(Camera | Click | Command | ControlUpdate)
+_MESSAGE_DECODER = msgspec.msgpack.Decoder(Camera | Click | Drag | Command | ControlUpdate)
 _MESSAGE_ENCODER = msgspec.msgpack.Encoder()
 
 

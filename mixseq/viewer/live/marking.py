@@ -19,21 +19,21 @@ import numpy as np
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.pictures.colours import SceneColours
-from mixseq.pictures.scene import SCENE_SIZE, Scene, SceneItem
+from mixseq.pictures.scene import SCENE_SIZE, Arrangement, Scene, SceneItem, heading_between, resolve_view
+from mixseq.retargeting.correspond import MIN_EXAMINED_MARKERS, Examination
 from mixseq.retargeting.markers import Markers
-from mixseq.retargeting.suggestions import MIN_EXAMINED_MARKERS, Examination
 from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Float, Index
 from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.controls import notify_all
-from mixseq.viewer.live.stage import LiveStage, srgb_to_linear
+from mixseq.viewer.live.stage import LiveStage, quaternion, srgb_to_linear
 from mixseq.viewer.live.viewer import add_bridge, run_server
 from mixseq.viewer.marking import SOURCE, TARGET, Certainty, Marking, MarkingSession, Pair
 from mixseq.viewer.playback import Playback
 from mixseq.viewer.session import Drawn, Message
 
 BALL_RADIUS_RATIO = 0.006
-"""Radius of a ball, relative to the distance of the camera from its target."""
+"""Radius of a ball, relative to the distance of the camera from its target; larger in pictures higher than wide."""
 
 MAX_BALL_DISTANCE = 2.5 * SCENE_SIZE
 """Camera distance in scene units beyond which balls get smaller on the screen."""
@@ -58,6 +58,9 @@ LABEL_DISTANCE_RATIO = 2.6
 
 MIN_LABEL_COSINE = -0.6
 """Cosine of the angle from the normal to the camera below which a ball has no label, as it is behind its mesh."""
+
+MIN_ALIGNED_PAIRS = 3
+"""Smallest number of pairs by which the target is turned to the side from which the source is seen."""
 
 MAX_LABEL_TURN_DEGREES = 10.0
 """Rotation of the camera beyond which labels are placed again."""
@@ -117,41 +120,77 @@ def make_balls(marking: Marking, proposals: Sequence[Pair], suspects: frozenset[
         yield Ball(pair.vertices[side], "" if place else "?", colour, 0.8 if place else 1.2)
 
 
+@dataclass(frozen=True, eq=False)
+class MarkedMeshes:
+    """Meshes to be marked."""
+
+    source: MeshSequence  # source mesh, at rest in its first frame
+    target: MeshSequence  # target mesh, at rest in its first frame
+    names: tuple[str, str]  # names of the meshes
+    markers: Markers  # initial markers
+    file: str  # name of the file in which markers are saved
+
+    @property
+    def scene(self) -> Scene:
+        """Both meshes at rest, scaled to the same size."""
+        items = []
+        for name, mesh in zip(self.names, (self.source, self.target), strict=True):
+            points = np.asarray(mesh.points[:1], np.float64)
+            size = float(np.linalg.norm(np.ptp(points[0], axis=0))) or 1.0
+            rest = MeshSequence.from_header(mesh.header.with_times([0.0]), points / size)
+            items.append(SceneItem(name, load_frames(rest)))
+        return Scene(tuple(items))
+
+
 class MarkingStage:
     """Balls and numbers of markers in the scene of a viser server."""
 
-    def __init__(self, server: Any, topologies: Sequence[Topology], on_click: Callable[[int, int], None]) -> None:
+    def __init__(
+        self, server: Any, meshes: MarkedMeshes, stage: LiveStage, on_click: Callable[[int, int], None]
+    ) -> None:
         from trimesh.creation import icosphere
 
         self._server = server
         self._on_click = on_click
-        self._topologies = topologies
         self._radius = BALL_RADIUS_RATIO * MAX_BALL_DISTANCE
         self._towards: Float = np.array([0.0, 0.0, 1.0])  # direction of the camera
-        self._surfaces: dict[int, tuple[Float, Float]] = {}
         self._labels: dict[str, Any] = {}
         self._nodes: dict[int, Any] = {}
         self._frames = [server.scene.add_frame(f"/markers/{side}", show_axes=False) for side in range(2)]
+        self._arrangement = stage.arrangement
+        self.set_arrangement(stage.arrangement)
+        self._surfaces = []  # local vertices and normals of each mesh
+        for side, mesh in enumerate((meshes.source, meshes.target)):
+            points = stage.arrangement.to_local(side, meshes.scene.items[side].pose(0.0)).astype(np.float64)
+            self._surfaces.append((points, TriangleMesh(points, Topology(mesh.faces, len(points))).vertex_normals))
         ball = icosphere(subdivisions=2, radius=1.0)
         self._ball = np.asarray(ball.vertices), np.asarray(ball.faces)
 
-    def set_points(self, side: int, points: Float) -> None:
-        """Set the vertices ``(V, 3)`` of a mesh, relative to its offset."""
-        self._surfaces[side] = points, TriangleMesh(points, self._topologies[side]).vertex_normals
+    def set_arrangement(self, arrangement: Arrangement) -> bool:
+        """Move the balls with their meshes, and return whether labels must be placed again."""
+        turns, self._arrangement = self._arrangement.turns, arrangement
+        for frame, offset, turn in zip(self._frames, arrangement.offsets, arrangement.turns, strict=True):
+            frame.position, frame.wxyz = offset, quaternion(turn)
+        return turns != arrangement.turns
 
-    def set_offsets(self, offsets: Float) -> None:
-        """Set the offsets ``(2, 3)`` of the meshes in the scene."""
-        for frame, offset in zip(self._frames, offsets, strict=True):
-            frame.position = offset
+    def turn_between(self, pairs: Index) -> float:
+        """Return the turn of the target in degrees that aligns it with the source by pairs ``(n, 2)``, or 0 for few."""
+        if len(pairs) < MIN_ALIGNED_PAIRS:
+            return 0.0
+        return heading_between(*(self._surfaces[side][0][pairs[:, side]] for side in (SOURCE, TARGET)))
 
     def positions(self, side: int, vertices: Index) -> Float:
         """Return the positions ``(n, 3)`` of vertices in the scene."""
-        return np.asarray(self._surfaces[side][0][vertices] + self._frames[side].position)
+        return self._arrangement.place(side, self._surfaces[side][0][vertices]).astype(np.float64)
 
-    def set_camera(self, offset: Float) -> bool:
-        """Adapt to the offset ``(3,)`` of the camera from its target, and return whether balls must be redrawn."""
+    def set_camera(self, offset: Float, aspect: float) -> bool:
+        """Adapt to the offset ``(3,)`` of the camera from its target and to the width/height of its picture.
+
+        Returns whether balls must be redrawn.
+        """
         distance = float(np.linalg.norm(offset))
-        radius, towards = BALL_RADIUS_RATIO * min(distance, MAX_BALL_DISTANCE), offset / distance
+        radius = BALL_RADIUS_RATIO * min(distance, MAX_BALL_DISTANCE) / min(aspect, 1.0)
+        towards = offset / distance
         is_near = 1 / RADIUS_CHANGE_RATIO < radius / self._radius < RADIUS_CHANGE_RATIO
         if is_near and towards @ self._towards > np.cos(np.radians(MAX_LABEL_TURN_DEGREES)):
             return False
@@ -197,8 +236,9 @@ class MarkingStage:
                 self._on_click(side, event.instance_index)
 
     def _draw_labels(self, side: int, balls: Sequence[Ball], points: Float, normals: Float) -> None:
-        rows = [row for row, ball in enumerate(balls) if ball.text and normals[row] @ self._towards > MIN_LABEL_COSINE]
-        places = place_labels(points[rows], normals[rows], self._towards, self._radius)
+        towards = self._towards @ self._arrangement.rotations[side]  # relative to the mesh
+        rows = [row for row, ball in enumerate(balls) if ball.text and normals[row] @ towards > MIN_LABEL_COSINE]
+        places = place_labels(points[rows], normals[rows], towards, self._radius)
         texts = {f"/markers/{side}/{row}": (balls[row].text, place) for row, place in zip(rows, places, strict=True)}
         for name in list(self._labels):
             if name.startswith(f"/markers/{side}/") and name not in texts:
@@ -365,28 +405,6 @@ SaveMarkers = Callable[[Markers], str]
 """Function that saves markers to the file passed at start, and returns a message."""
 
 
-@dataclass(frozen=True, eq=False)
-class MarkedMeshes:
-    """Meshes to be marked."""
-
-    source: MeshSequence  # source mesh, at rest in its first frame
-    target: MeshSequence  # target mesh, at rest in its first frame
-    names: tuple[str, str]  # names of the meshes
-    markers: Markers  # initial markers
-    file: str  # name of the file in which markers are saved
-
-    @property
-    def scene(self) -> Scene:
-        """Both meshes at rest, scaled to the same size."""
-        items = []
-        for name, mesh in zip(self.names, (self.source, self.target), strict=True):
-            points = np.asarray(mesh.points[:1], np.float64)
-            size = float(np.linalg.norm(np.ptp(points[0], axis=0))) or 1.0
-            rest = MeshSequence.from_header(mesh.header.with_times([0.0]), points / size)
-            items.append(SceneItem(name, load_frames(rest)))
-        return Scene(tuple(items))
-
-
 class MarkingViewer:
     """A running viewer for markers, started by `run_marking_viewer`."""
 
@@ -403,12 +421,13 @@ class MarkingViewer:
         self._server = server
         self._save = save
         self._lock = Lock()
+        self._is_aligned = False  # whether the target was turned to the side of the source
         self._controls: MarkingControls | None = None  # the session may report changes before the controls exist
         scene = meshes.scene
-        topologies = [Topology(mesh.faces, mesh.vertex_count) for mesh in (meshes.source, meshes.target)]
-        self._balls = MarkingStage(server, topologies, lambda side, row: self.session.click_ball(side, row))
-        from_left = replace(settings, camera=settings.camera or VIEWS["Left"])
-        self._stage = LiveStage(server, SceneColours(scene), from_left, lambda _: None)
+        camera = settings.camera or VIEWS["Left"]
+        self._stage = LiveStage(server, SceneColours(scene), replace(settings, camera=camera), lambda _: None)
+        self._balls = MarkingStage(server, meshes, self._stage, lambda side, row: self.session.click_ball(side, row))
+        self._stage.on_rearrange = self._on_rearrange
         playback = Playback(scene, self._stage, self._on_playback_failure, threads=1)
         self._playback = stack.enter_context(playback)
         self.session = stack.enter_context(MarkingSession(meshes.source, meshes.target, meshes.markers, self))
@@ -421,7 +440,7 @@ class MarkingViewer:
         self._stage.on_click(lambda side, hit: self.session.click(side, hit.vertex), mark=False)
         server.on_client_connect(self._on_connect)
         server.on_client_disconnect(self._stage.remove_client)
-        self._update_points()
+        self._set_view(camera)
 
     # Callbacks of the session ---------------------------------------------------------------------------
 
@@ -430,6 +449,9 @@ class MarkingViewer:
         controls = self._controls
         if controls is None:  # during construction
             return
+        if not self._is_aligned and len(self._sure_pairs) >= MIN_ALIGNED_PAIRS:
+            self._is_aligned = True
+            self._stage.turn(TARGET, self._balls.turn_between(self._sure_pairs))
         with self._lock:
             session = self.session
             examination = session.examination
@@ -459,23 +481,26 @@ class MarkingViewer:
         notify_all(self._server, "The meshes cannot be shown", str(error))
 
     def _set_view(self, camera: tuple[float, float]) -> None:
-        self._stage.set_view(self._playback.scene, camera)
-        self._playback.refresh()
-        self._update_points()
-
-    def _update_points(self) -> None:
-        """Move the balls with the meshes after the arrangement has changed."""
-        arrangement = self._stage.arrangement
-        for side, item in enumerate(self._playback.scene.items):
-            points = arrangement.to_scene(side, item.pose(0.0)).astype(np.float64)
-            self._balls.set_points(side, points - arrangement.offsets[side])
-        self._balls.set_offsets(arrangement.offsets)
+        """See the source from an azimuth and elevation, and the target from the same side by their sure pairs."""
+        poses = [item.pose(0.0)[None] for item in self._playback.scene.items]
+        view = resolve_view(poses[SOURCE], self._playback.scene.items[SOURCE].header.up_axis, camera)
+        self._stage.set_view(view, (0.0, self._balls.turn_between(self._sure_pairs)))
         self.on_change()
 
+    @property
+    def _sure_pairs(self) -> Index:
+        """Vertices ``(n, 2)`` of the set pairs and the sure proposals."""
+        pairs = (*self.session.marking.pairs, *self.session.proposals)
+        return np.array([pair.vertices for pair in pairs if pair.certainty == "sure"], np.int64).reshape(-1, 2)
+
+    def _on_rearrange(self, arrangement: Arrangement) -> None:
+        """Move the balls with the meshes, and place labels again where a mesh has turned."""
+        if self._balls.set_arrangement(arrangement):
+            self.on_change()
+
     def _on_camera(self, camera: Any) -> None:
-        """Keep balls on their meshes and their size on the screen constant, while the camera of a page moves."""
-        self._balls.set_offsets(self._stage.arrangement.offsets)
-        if self._balls.set_camera(camera.position - camera.look_at):
+        """Keep the size of balls on the screen constant, while the camera of a page moves."""
+        if self._balls.set_camera(camera.position - camera.look_at, camera.aspect):
             self.on_change()
 
     def _show_other_mesh(self, camera: Any) -> None:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+from math import remainder
 from threading import Lock
+from time import monotonic
 from typing import Any
 
 import numpy as np
 
 from mixseq.mesh.nearest import RayHit, intersect_ray
 from mixseq.pictures.colours import Colouring, SceneColours
-from mixseq.pictures.scene import FIELD_OF_VIEW_DEGREES, SCENE_SIZE, Arrangement, Scene, arrange_meshes
+from mixseq.pictures.scene import FIELD_OF_VIEW_DEGREES, SCENE_SIZE, Arrangement, Scene, View, arrange_meshes
 from mixseq.types import ByteArray, Float, Single
 from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.playback import Moment
@@ -18,12 +22,31 @@ from mixseq.viewer.playback import Moment
 GROUND_COLOUR = (243, 243, 240)
 GRID_COLOUR = (222, 222, 218)
 PICK_COLOUR = (20, 20, 20)
+Colour = tuple[int, int, int]
 
 ROW_STEP_DEGREES = 2.0
 """Rotation of the camera beyond which meshes are moved to stay side by side."""
 
+GRAB_RADIUS = 0.06 * SCENE_SIZE
+"""Distance from a ball within which a drag of the mesh moves the ball, in scene units."""
+
 GRID_CELL = SCENE_SIZE / 2
 """Cell size of the ground's grid, in scene units."""
+
+
+ARRIVAL_SECONDS = 5.0
+"""Time after which a page has the camera that was sent; before, it may report its own or half of the sent one."""
+
+
+@dataclass(eq=False)
+class _SentCamera:
+    """The camera that was sent to a page."""
+
+    position: Float
+    target: Float
+    aspect: float  # width/height of the picture
+    time: float  # when it was sent, in seconds
+    is_there: bool = False  # whether the page has it; what it reports afterwards are movements of the user
 
 
 class LiveStage:
@@ -42,25 +65,24 @@ class LiveStage:
         self._lock = Lock()
         self.is_busy = False  # whether a page is still drawing the last moment
         self._moment: Moment | None = None
-        self._client_views: dict[int, tuple[Float, float]] = {}
+        self._sent_cameras: dict[int, _SentCamera] = {}  # by page
         self._colour = colours.names[0]
         self._sent_colourings: list[Colouring | None] = [None] * len(colours.scene.items)
         self._camera = settings.camera
+        self.on_rearrange: Callable[[Arrangement], None] = lambda _: None  # called when meshes have moved
         self._arrangement = arrange_meshes(colours.scene, not settings.overlaid, settings.camera)
         self._add_ground()
         self._meshes, self._colour_clouds, self._labels = [], [], []
         self._picked: tuple[int, int] | None = None  # indices of mesh and vertex
-        self._pick_ball = server.scene.add_icosphere(
-            "/picked",
-            radius=0.012 * SCENE_SIZE,
-            color=PICK_COLOUR,
-            visible=False,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        self._pick_ball = self._add_ball("/picked", 0.012)
+        self._handles: tuple[int, Mapping[int, Colour]] = (0, {})  # index of a mesh, and colours by vertex
+        self._handle_balls: list[Any] = []
+        self._grabs: dict[int, tuple[int, Float]] = {}  # by page: dragged vertex, and its offset from the pointer
+        self._on_drag: Callable[[int, int, Float], None] | None = None
+        self._drags = [self._drag_callback(index, None) for index in range(len(colours.scene.items))]
         for index, item in enumerate(colours.scene.items):
             offset = self._arrangement.offsets[index]
-            points = self._arrangement.to_scene(index, item.pose(0.0)) - offset.astype(np.float32)
+            points = self._arrangement.to_local(index, item.pose(0.0))
             zeros = np.zeros_like(points)
             mesh = server.scene.add_mesh_simple(
                 f"/mesh/{index}",
@@ -75,6 +97,8 @@ class LiveStage:
             )
             cloud = server.scene.add_point_cloud(f"/paint/{index}", zeros, colors=zeros.astype(np.uint8), visible=False)
             self._meshes.append(mesh)
+            if len(colours.scene.items) > 1:
+                self._turn_by_drags(index, mesh)
             self._colour_clouds.append(cloud)
         if len(self._meshes) > 1:
             self._labels = [
@@ -96,46 +120,77 @@ class LiveStage:
             self._moment = moment
             elapsed = moment.scene.elapsed(moment.frame)
             for index, (points, colours) in enumerate(zip(moment.poses, self.colours, strict=True)):
-                placed, shift = self._world_points(self._arrangement, index, points)
+                local, shift = self._local_points(self._arrangement, index, points)
                 if index == 0:
-                    self._ground.position = (-shift[0] % GRID_CELL, -1e-3 * SCENE_SIZE, -shift[2] % GRID_CELL)
-                self._meshes[index].vertices = placed - self._arrangement.offsets[index].astype(np.float32)
-                if self._picked is not None and self._picked[0] == index:
-                    self._pick_ball.position = placed[self._picked[1]]
+                    x, _, z = -self._arrangement.rotations[0] @ shift % GRID_CELL
+                    self._ground.position = (x, -1e-3 * SCENE_SIZE, z)
+                self._meshes[index].vertices = local
                 if not colours.is_constant or self._sent_colourings[index] is not colours:
                     entries = colours.entries(points, elapsed)
                     self._colour_clouds[index].colors = srgb_to_linear(colours.palette)[entries]
                     self._sent_colourings[index] = colours
+            self._place_balls()
             self._on_show(moment)
 
-    def _world_points(self, arrangement: Arrangement, index: int, points: Single) -> tuple[Single, Float]:
-        """Return a mesh ``(V, 3)`` in scene coordinates, and the displacement ``(3,)`` removed to follow the mesh."""
-        placed = arrangement.to_scene(index, points)
+    def _local_points(self, arrangement: Arrangement, index: int, points: Single) -> tuple[Single, Float]:
+        """Return local points ``(V, 3)`` of a mesh, and the displacement ``(3,)`` removed to follow the mesh."""
+        local = arrangement.to_local(index, points)
         if not self.following:
-            return placed, np.zeros(3)
-        shift = (placed.mean(axis=0, dtype=np.float64) - arrangement.label_positions[index]) * [1, 0, 1]
-        return np.asarray(placed - shift, dtype=np.float32), shift
+            return local, np.zeros(3)
+        shift = (local.mean(axis=0, dtype=np.float64) - arrangement.boxes[index].mean(axis=0)) * [1, 0, 1]
+        return np.asarray(local - shift, dtype=np.float32), shift
+
+    def _place_balls(self) -> None:
+        """Move the balls to the picked vertex and to those of handles."""
+        index, colours = self._handles
+        balls = [(index, vertex, ball) for vertex, ball in zip(colours, self._handle_balls, strict=False)]
+        balls += [(*self._picked, self._pick_ball)] if self._picked is not None else []
+        if self._moment is None or not balls:
+            return
+        placed = {index: self._placed_points(self._arrangement, index, self._moment)[0] for index, _, _ in balls}
+        for index, vertex, ball in balls:
+            ball.position = placed[index][vertex]
+
+    def _placed_points(self, arrangement: Arrangement, index: int, moment: Moment) -> tuple[Single, Float]:
+        """Return a mesh ``(V, 3)`` in the scene, and the displacement ``(3,)`` removed there to follow the mesh."""
+        local, shift = self._local_points(arrangement, index, moment.poses[index])
+        return arrangement.place(index, local), arrangement.rotations[index] @ shift
 
     def set_colour(self, name: str) -> None:
         """Set the colouring of the moments shown from now on."""
         self._colour = name
 
-    def set_view(self, scene: Scene, camera: tuple[float, float]) -> None:
-        """Set the view as in `mixseq.pictures.scene.resolve_view`, and align meshes across the view."""
-        self._camera = camera
-        self.arrange(scene, side_by_side=True)
+    def set_view(self, view: View, turns: tuple[float, ...]) -> None:
+        """Set the view of the camera, and the turn of each mesh."""
+        self._rearrange(lambda arrangement: replace(arrangement, view=view, turns=turns).side_by_side())
+        self._update_cameras()
 
     def _follow_camera(self, camera: Any) -> None:
-        """Keep meshes side by side while the camera turns; see `Arrangement.with_azimuth`."""
+        """Keep meshes side by side while the camera turns; see `Arrangement.seen_from`."""
         x, y, z = offset = camera.position - camera.look_at
-        azimuth = float(np.degrees(np.arctan2(x, z)))
-        rotation = abs((azimuth - self.arrangement.view.azimuth + 180) % 360 - 180)
-        is_defined = np.hypot(x, z) > 0.05 * abs(y)  # from straight above, there is no azimuth
-        if len(self._meshes) > 1 and is_defined and rotation > ROW_STEP_DEGREES:
-            with self._lock:
-                distance = float(np.linalg.norm(offset))
-                self._arrangement = self._arrangement.with_azimuth(azimuth, camera.look_at, distance)
-            self._update_positions()
+        across = float(np.hypot(x, z))
+        before, view = self.arrangement.view, View(*np.degrees([np.arctan2(x, z), np.arctan2(y, across)]).tolist())
+        rotation = abs(remainder(view.azimuth - before.azimuth, 360)), abs(view.elevation - before.elevation)
+        is_defined = across > 0.05 * abs(y)  # from straight above, there is no azimuth
+        if len(self._meshes) > 1 and is_defined and max(rotation) > ROW_STEP_DEGREES:
+            distance = float(np.linalg.norm(offset))
+            self._rearrange(lambda arrangement: arrangement.seen_from(view, camera.look_at, distance))
+
+    def turn(self, index: int, degrees: float) -> None:
+        """Turn one mesh: it is seen from an azimuth of its own, in degrees from that of the camera."""
+        self._rearrange(lambda arrangement: arrangement.turned(index, degrees))
+
+    def _rearrange(self, change: Callable[[Arrangement], Arrangement]) -> None:
+        """Change the arrangement, and move the meshes."""
+        with self._lock, self._server.atomic():
+            self._arrangement = arrangement = change(self._arrangement)
+            self._ground.visible = not arrangement.is_stacked
+            for index, mesh in enumerate(self._meshes):
+                mesh.position, mesh.wxyz = arrangement.offsets[index], quaternion(arrangement.turns[index])
+            for label, position in zip(self._labels, arrangement.label_positions, strict=False):
+                label.position = position
+            self._place_balls()
+        self.on_rearrange(arrangement)
 
     @property
     def arrangement(self) -> Arrangement:
@@ -147,17 +202,8 @@ class LiveStage:
         """Arrange the meshes side by side or overlaid."""
         arrangement = arrange_meshes(scene, side_by_side, self._camera)
         self.overlaid = not side_by_side
-        with self._lock:
-            self._arrangement = arrangement
-        self._update_positions()
+        self._rearrange(lambda _: arrangement)
         self._update_cameras()
-
-    def _update_positions(self) -> None:
-        with self._lock, self._server.atomic():
-            for mesh, offset in zip(self._meshes, self._arrangement.offsets, strict=True):
-                mesh.position = offset
-            for label, position in zip(self._labels, self._arrangement.label_positions, strict=False):
-                label.position = position
 
     def set_visible(self, index: int, is_visible: bool) -> None:
         """Show or hide a mesh."""
@@ -171,7 +217,10 @@ class LiveStage:
             mesh.wireframe = on
 
     def on_click(self, callback: Callable[[int, RayHit], None], mark: bool = True) -> None:
-        """Set the function called with a clicked mesh and the hit; if `mark` is true, mark the vertex with a ball."""
+        """Set the function called with a clicked mesh and the hit; if `mark` is true, mark the vertex with a ball.
+
+        While the mesh is dragged, only its handles are marked.
+        """
         for number, mesh in enumerate(self._meshes):
 
             @mesh.on_click  # type: ignore[untyped-decorator]
@@ -180,17 +229,89 @@ class LiveStage:
                     moment, arrangement = self._moment, self._arrangement
                 if moment is None:
                     return
-                points, _ = self._world_points(arrangement, index, moment.poses[index])
+                points, _ = self._placed_points(arrangement, index, moment)
                 hit = intersect_ray(
                     points, moment.scene.items[index].header.faces, event.ray_origin, event.ray_direction
                 )
                 if hit is not None:
-                    if mark:
+                    if mark and self._on_drag is None:
                         with self._lock:
                             self._picked = index, hit.vertex
-                            self._pick_ball.position = points[hit.vertex]
+                            self._place_balls()
                             self._pick_ball.visible = True
                     callback(index, hit)
+
+    def _turn_by_drags(self, index: int, mesh: Any) -> None:
+        """Turn a mesh on its own while it is dragged with shift."""
+        start = 0.0, 0.0  # turn, and place of the pointer as a share of the width
+
+        @mesh.on_drag("left", modifier="shift")  # type: ignore[untyped-decorator]
+        async def _(event: Any) -> None:
+            nonlocal start
+            place = event.end_screen_pos[0]
+            if event.phase == "start":
+                start = self.arrangement.turns[index], place
+            elif not self.overlaid:
+                self.turn(index, start[0] - 360 * (place - start[1]))
+
+    def _add_ball(self, name: str, radius: float) -> Any:
+        return self._server.scene.add_icosphere(
+            name,
+            radius=radius * SCENE_SIZE,
+            color=PICK_COLOUR,
+            visible=False,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def set_handles(self, index: int, colours: Mapping[int, Colour], on_click: Callable[[int], None]) -> None:
+        """Mark vertices of a mesh with balls, in colours by vertex, and set the function called with a clicked one."""
+        with self._lock, self._server.atomic():
+            self._handles = index, dict(colours)
+            while len(self._handle_balls) < len(colours):
+                number = len(self._handle_balls)
+                ball = self._add_ball(f"/handle/{number}", 0.018)
+                ball.on_click(lambda _, number=number: on_click(list(self._handles[1])[number]))
+                ball.on_drag(self._drag_callback(None, number))
+                self._handle_balls.append(ball)
+            for ball, colour in zip_longest(self._handle_balls, colours.values()):
+                ball.visible, ball.color = colour is not None, colour or PICK_COLOUR
+            self._place_balls()
+
+    def set_dragging(self, callback: Callable[[int, int, Float], None] | None) -> None:
+        """Set the function called with a dragged mesh, a vertex and its target ``(3,)``; None to turn the camera."""
+        self._on_drag, self._picked, self._pick_ball.visible = callback, None, False
+        for mesh, drag in zip(self._meshes, self._drags, strict=True):
+            mesh.remove_drag_callback(drag)
+            if callback is not None:
+                mesh.on_drag(drag)
+
+    def _drag_callback(self, mesh: int | None, number: int | None) -> Callable[[Any], Any]:
+        """Return the callback of a mesh, whose vertex nearest to the pointer is dragged, or of a ball."""
+
+        async def drag(event: Any) -> None:  # in order: on the event loop
+            index = self._handles[0] if mesh is None else mesh
+            with self._lock:
+                moment, arrangement = self._moment, self._arrangement
+                handles = list(self._handles[1]) if index == self._handles[0] else []
+            if moment is None or self._on_drag is None:
+                return
+            if event.phase == "start":
+                points, shift = self._placed_points(arrangement, index, moment)
+                place = np.array(event.start_position)
+                distances = np.linalg.norm(points - place, axis=1)
+                vertex = int(distances.argmin()) if number is None else handles[number]
+                nearest = min(handles, key=lambda each: distances[each], default=vertex)
+                if number is None and distances[nearest] < GRAB_RADIUS:
+                    vertex = nearest
+                self._grabs[event.client_id] = vertex, points[vertex] - place + shift
+            if event.client_id in self._grabs:
+                vertex, offset = self._grabs[event.client_id]
+                self._on_drag(index, vertex, arrangement.to_mesh(index, np.array(event.end_position) + offset))
+            if event.phase == "end":
+                self._grabs.pop(event.client_id, None)
+
+        return drag
 
     def _add_ground(self) -> None:
         scene = self._server.scene
@@ -218,39 +339,52 @@ class LiveStage:
 
         @client.camera.on_update  # type: ignore[untyped-decorator]
         def _(camera: Any) -> None:
-            # A page connects before its panels dock, which changes the aspect ratio of the viewport.
-            if client.client_id not in self._client_views:
+            sent = self._sent_cameras.get(client.client_id)
+            if sent is None:
                 return
-            position, aspect = self._client_views[client.client_id]
-            initial = self._server.initial_camera.position  # the page may report it late
-            is_unmoved = any(np.allclose(camera.position, known, rtol=1e-3, atol=1e-3) for known in (position, initial))
-            if is_unmoved and abs(camera.aspect / aspect - 1) > 0.02:
+            sent.is_there |= monotonic() > sent.time + ARRIVAL_SECONDS
+            is_unmoved = all(
+                np.allclose(seen, known, rtol=1e-3, atol=1e-3)
+                for seen, known in ((camera.position, sent.position), (camera.look_at, sent.target))
+            )
+            # A page connects before its panels dock, which changes the aspect ratio of the viewport.
+            if (is_unmoved or not sent.is_there) and abs(camera.aspect / sent.aspect - 1) > 0.02:
                 self._update_camera(client)
-            elif not self.overlaid:
+            elif is_unmoved:
+                sent.is_there = True
+            elif sent.is_there and not self.overlaid:
                 self._follow_camera(camera)
 
         self._update_camera(client)
 
     def remove_client(self, client: Any) -> None:
         """Remove the state of a closed page."""
-        self._client_views.pop(client.client_id, None)
+        self._sent_cameras.pop(client.client_id, None)
 
     def _update_camera(self, client: Any) -> None:
         aspect = client.camera.aspect  # width/height
-        position, centre = self._arrangement.camera(1 / aspect)
-        self._client_views[client.client_id] = position, aspect
+        if len(self._meshes) > 1 and not self.overlaid:
+            self._rearrange(lambda arrangement: arrangement.fitted(1 / aspect))
+        position, centre = self.arrangement.camera(1 / aspect)
+        self._sent_cameras[client.client_id] = _SentCamera(position, centre, aspect, monotonic())
         with client.atomic():
             client.camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
             client.camera.position = position  # viser also moves the target
             client.camera.look_at = centre
 
     def _update_cameras(self) -> None:
-        position, centre = self._arrangement.camera(aspect=1.0)
+        position, centre = self.arrangement.camera(aspect=1.0)
         camera = self._server.initial_camera
         camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
         camera.look_at, camera.position = centre, position
         for client in self._server.get_clients().values():
             self._update_camera(client)
+
+
+def quaternion(turn: float) -> tuple[float, float, float, float]:
+    """Return the quaternion of a turn of `Arrangement.turns`, in degrees."""
+    half = np.radians(turn) / 2
+    return float(np.cos(half)), 0.0, float(-np.sin(half)), 0.0
 
 
 def srgb_to_linear(colours: ByteArray) -> ByteArray:

@@ -115,7 +115,7 @@ class Viewer:
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(300)
         if self.session.editable_ids and not settings.read_only:
-            self._editor = Editor(server, self.session, self.playback, settings.folder)
+            self._editor = Editor(server, self.session, self.playback, self._stage, settings.folder)
         self._stage.on_click(self._on_click)
         server.on_client_connect(self._on_connect)
         server.on_client_disconnect(self._on_disconnect)
@@ -138,6 +138,7 @@ class Viewer:
         notify_all(self._server, f"{action}: not done", str(error))
         if self._editor is not None:
             self._editor.charts.draw()
+            self._editor.posing.show()
 
     def on_save(self, message: str) -> None:
         """Notify all pages of a saved file."""
@@ -166,6 +167,8 @@ class Viewer:
     def _on_disconnect(self, client: Any) -> None:
         self._stage.remove_client(client)
         self.session.discard_preview()  # the page cannot end its drag any more
+        if self._editor is not None:
+            self._editor.posing.show()
 
     def _on_message(self, message: Message) -> None:
         if isinstance(message, Drawn):
@@ -180,7 +183,9 @@ class Viewer:
     def _on_click(self, index: int, hit: RayHit) -> None:
         items = self.playback.scene.items
         text = f"vertex {hit.vertex}, triangle {hit.face}"
-        if self._editor is not None:
+        if self._editor is not None and self._editor.posing.is_on and index == self.session.index:
+            self._editor.posing.click(hit.vertex)
+        elif self._editor is not None:
             text += self._editor.select_part(index, hit)
         self._display.show_picked(f"{items[index].name}: {text}" if len(items) > 1 else text)
 

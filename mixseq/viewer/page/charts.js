@@ -10,7 +10,7 @@
  *   onRetime({keys: [[output, source], ...], done})
  *   onSeek(seconds)                     the current time was changed
  * options: editable (handles, sketching and retiming), dark.
- * Returns {show(signals), at(seconds), pen(on), resize(), remove()}; `signals` are made by mixseq.viewer.session.chart_data.
+ * Returns {show(signals), at(seconds), pen(on), resize(), remove()}; `signals` are made by mixseq.pictures.charts.chart_data.
  */
 var mixseqCharts = function (root, handlers = {}, options = {}) {
   const parts = mixseqChartParts, look = options.dark ? parts.DARK : parts.LIGHT;

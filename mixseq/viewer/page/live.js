@@ -115,6 +115,8 @@ window.mixseqLive ??= (function () {
       if (isSliderKey || event.target.closest?.("input:not([type=checkbox]), textarea")) event.stopPropagation();
     });
   }
+  // a key after a press on the picture is not for the button that was pressed before: viser keeps its focus
+  document.addEventListener("pointerdown", ({ target }) => target.tagName === "CANVAS" && document.activeElement?.blur(), true);
   // viser ignores keys while a checkbox has the focus
   document.addEventListener("change", (event) => event.target.type === "checkbox" && event.target.blur());
 

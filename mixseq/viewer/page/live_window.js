@@ -5,7 +5,9 @@ var mixseqWindow = (function () {
   const ENDED = "This viewer has ended, or the connection is lost: the page shows the last frame. It continues when the connection returns; " +
     "otherwise start mixseq view again and open the address that it prints.";
   const KEYS = { "Ctrl Z": "undo", "Ctrl Shift Z": "redo" };
+  const POSE_KEYS = { "Enter": "apply a pose", "Esc": "cancel it" };
   const TIME_KEYS = { "Space  P": "play, pause", "[  ]": "frame by frame", "I  O": "in and out: the section that is played and edited", "L": "loop" };
+  const MESH_KEYS = { "Shift drag": "turn one mesh by itself" };
   const MARKER_KEYS = { "Y": "accept a proposal", "N": "skip it", "X": "delete the selected pair", "O": "the same point of the other mesh" };
   const FOLDS = "mixseq-folds"; // which sections are open, in the storage of the browser
   // Notices are at the bottom, away from the meshes. In narrow windows, viser has a sheet at the bottom instead of docked panels.
@@ -97,6 +99,21 @@ var mixseqWindow = (function () {
     }
   }
 
+  /** Name for screen readers what viser leaves without a name. */
+  setInterval(() => {
+    const name = (element, text) => element?.setAttribute("aria-label", text);
+    for (const canvas of document.querySelectorAll("#root canvas:not([aria-label])")) {
+      canvas.setAttribute("role", "img");
+      name(canvas, "Meshes. Drag to orbit, right-drag to pan, wheel to zoom, ? for keys.");
+    }
+    for (const [icon, text] of [[".tabler-icon-list-search", "Commands"], [".tabler-icon-adjustments", "Settings of the page"], [".mantine-Notification-closeButton", "Dismiss"]]) {
+      document.querySelectorAll(icon).forEach((each) => name(each.closest("button"), text));
+    }
+    for (const label of document.querySelectorAll("#root label[for]")) {
+      if (!document.getElementById(label.htmlFor)) name(label.parentElement.parentElement.parentElement.querySelector("input"), label.textContent);
+    }
+  }, 1000);
+
   document.addEventListener("click", ({ isTrusted }) => isTrusted && setTimeout(() => {
     const kept = JSON.parse(localStorage.getItem(FOLDS) ?? "{}");
     localStorage.setItem(FOLDS, JSON.stringify({ ...kept, ...Object.fromEntries(sections().map(({ name, open }) => [name, open])) }));
@@ -104,7 +121,11 @@ var mixseqWindow = (function () {
 
   document.addEventListener("keydown", ({ key, target }) => {
     if (key !== "?" || target.closest?.("input:not([type=checkbox]), textarea")) return;
-    const shown = { ...(line() && TIME_KEYS), ...KEYS, ...(document.getElementById("mixseq-hint") && MARKER_KEYS), "?": "this list" };
+    const is = (id) => document.getElementById(id);
+    const shown = {
+      ...(line() && TIME_KEYS), ...KEYS, ...(is("mixseq-steps") && POSE_KEYS), ...(window.__viserMutable.nodeRefFromName["/mesh/1"] && MESH_KEYS),
+      ...(is("mixseq-hint") && MARKER_KEYS), "?": "this list",
+    };
     keys.innerHTML = `<table>${Object.entries(shown).map(([name, what]) => `<tr><td><kbd>${name}</kbd></td><td>${what}</td></tr>`).join("")}</table><form method="dialog"><button>Close</button></form>`;
     keys.showModal();
   });

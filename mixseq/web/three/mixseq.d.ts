@@ -111,8 +111,9 @@ export interface Card {
 /** Positions and normals as buffers of the graphics card. */
 export function fieldTextures(gl: WebGL2RenderingContext, fields: Fields, triangles: Uint32Array, vertices?: Uint32Array | null, groups?: Uint32Array | null): Card;
 
-/** The mesh sequence of a GLB file. */
-export function readGlb(file: ArrayBuffer): {
+/** The mesh sequence of a body in a GLB file, by default the first of its `bodies`. */
+export function readGlb(file: ArrayBuffer, body?: string | null): {
+  bodies: string[];
   text: string;
   streams: Uint8Array;
   json: any;

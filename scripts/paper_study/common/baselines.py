@@ -178,10 +178,7 @@ class Elastic:
         )
         thirds = np.repeat(areas.mean(axis=0) / 6, 3)
         spread = np.maximum(np.bincount(topology.face_edges.reshape(-1), thirds, minlength=len(lengths)), 1e-12)
-        of_hinge = np.sort(topology.hinges[:, :2], axis=1)
-        keys = topology.edges[:, 0] * topology.vertex_count + topology.edges[:, 1]
-        edge = np.searchsorted(keys, of_hinge[:, 0] * topology.vertex_count + of_hinge[:, 1])
-        bending = self.thickness * lengths[edge] / np.sqrt(spread[edge])
+        bending = self.thickness * lengths[topology.hinge_edges] / np.sqrt(spread[topology.hinge_edges])
         return np.sqrt(spread) / np.maximum(lengths, 1e-9), bending
 
     def length_rows(self, x: Float) -> sparse.csr_array:

@@ -19,10 +19,17 @@ OPPOSITE = -0.7
 """Cosine of normals below which one side of a limb is opposite the other."""
 
 BEYOND = 1.5
-"""A patch is pushed by so many times what the limb is thick."""
+"""Distance by which a patch is pushed, over the thickness of the limb."""
 
 SIZE = 0.6
-"""Radius of the patch, as a share of what the limb is thick."""
+"""Radius of the patch, over the thickness of the limb."""
+
+
+SEEN = 0.5
+"""Cosine between normal and camera above which a patch is seen."""
+
+MAX_TRIED = 400
+"""Approximate number of vertices that are tried."""
 
 
 def noisy(poses: Poses, share: float, seed: int) -> Poses:
@@ -45,15 +52,8 @@ def placement_noise(poses: Poses, share: float, seed: int) -> tuple[float, float
     return float(moved[0]), float(np.median(moved[:-1])), float(moved[-1])
 
 
-SEEN = 0.5
-"""Cosine between normal and camera above which a patch is seen."""
-
-TRIED = 400
-"""About so many vertices are tried."""
-
-
 class Pushed(NamedTuple):
-    """Poses whose second one has a patch pushed through the surface, and which vertices ``(k,)`` were moved."""
+    """Poses whose second one has a patch pushed through the surface, and the moved vertices ``(k,)``."""
 
     poses: Poses
     vertices: Index
@@ -64,13 +64,8 @@ class Pushed(NamedTuple):
 def pushed(poses: Poses, rigid: Index, view: View) -> Pushed:
     """Push a patch of a rigid part through the other side of its limb, in the second pose.
 
-    Of the vertices `rigid` that one is taken, in the thinnest place, whose patch they hold as a whole and whose normal
-    points to the camera.
-
-    Raises
-    ------
-    ValueError
-        If no such patch exists.
+    Its middle is the vertex of `rigid` in the thinnest place whose patch is in `rigid` and whose normal points to the
+    camera; there is a ValueError without one.
     """
     x, faces = poses.points[1], poses.sequence.faces
     triangles = Polygons(np.full(len(faces), 3), faces.reshape(-1))
@@ -80,7 +75,7 @@ def pushed(poses: Poses, rigid: Index, view: View) -> Pushed:
     edge = float(poses.lengths[1].mean())
     best: Pushed | None = None
     seen = rigid[to_y_up(normals[rigid], poses.sequence.up_axis) @ view.rotation[2] > SEEN]
-    for vertex in seen[:: max(1, len(seen) // TRIED)].tolist():
+    for vertex in seen[:: max(1, len(seen) // MAX_TRIED)].tolist():
         away = np.linalg.norm(x - x[vertex], axis=1)
         opposite = (normals @ normals[vertex] < OPPOSITE) & ((x - x[vertex]) @ normals[vertex] < -0.7 * away)
         if not opposite.any():

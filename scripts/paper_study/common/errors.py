@@ -7,15 +7,16 @@ quantile of that share.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.types import Float
 from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.poses import Poses
+from scripts.paper_study.common.poses import APART, PATH, Poses
+from scripts.paper_study.common.record import Json
 
 LENGTH_SHARES = (1.0, 0.999, 0.99)
 ANGLE_SHARES = (1.0, 0.9999, 0.999, 0.99)
@@ -28,11 +29,16 @@ SHORT = 1e-9
 """Edges shorter than this, in diagonals, have no relative error."""
 
 
+FOLDED = 0.6
+"""Ratio of distances of points along a limb below which a blend counts as folded."""
+
+
 class Errors(NamedTuple):
-    """Errors of all edges ``(e,)`` and hinges ``(h,)``, in degrees."""
+    """Errors of all edges ``(e,)`` and hinges ``(h,)``, in degrees, and the smallest ratio of distances along limbs."""
 
     strain: Float
     degrees: Float
+    nearest: float = 1.0
 
     def at(self, share: float) -> tuple[float, float]:
         """Return the quantiles of both, absolute."""
@@ -42,10 +48,10 @@ class Errors(NamedTuple):
         """Return the bands of all shares, of lengths and of angles."""
         return [band(self.strain, s) for s in LENGTH_SHARES], [band(self.degrees, s) for s in ANGLE_SHARES]
 
-    def summary(self) -> dict[str, list[float]]:
+    def summary(self) -> Json:
         """Return the quantiles at 99 %, 99.9 % and 100 % as plain data."""
-        pairs = [self.at(share) for share in (0.99, 0.999, 1.0)]
-        return {"lengths": [pair[0] for pair in pairs], "degrees": [pair[1] for pair in pairs]}
+        lengths, degrees = zip(*map(self.at, (0.99, 0.999, 1.0)), strict=True)
+        return {"lengths": lengths, "degrees": degrees, "nearest": self.nearest}
 
 
 def errors(poses: Poses, weights: Float, points: Float) -> Errors:
@@ -53,7 +59,22 @@ def errors(poses: Poses, weights: Float, points: Float) -> Errors:
     lengths, angles = poses.target(weights)
     long = np.flatnonzero(lengths > SHORT * poses.diagonal)
     strain = edge_lengths(points, poses.topology.edges)[long] / lengths[long] - 1.0
-    return Errors(strain, np.degrees(wrap_angles(dihedral_angles(points, poses.topology.hinges) - angles)))
+    degrees = np.degrees(wrap_angles(dihedral_angles(points, poses.topology.hinges) - angles))
+    ends, shortest = poses.along_limbs
+    distances = np.linalg.norm(points[ends[:, 1]] - points[ends[:, 0]], axis=1)
+    return Errors(strain, degrees, float((distances / shortest).min(initial=1.0)))
+
+
+def folded(summaries: Mapping[str, Json]) -> str:
+    """Say which blends fold or shrink limbs, of summaries of errors by what they are of."""
+    ratios = {name: found["nearest"] for name, found in summaries.items()}
+    said = "; ".join(f"{name} ({ratio:.2g})" for name, ratio in ratios.items() if ratio < FOLDED)
+    rest = min((ratio for ratio in ratios.values() if ratio >= FOLDED), default=1.0)
+    return (
+        f"Folded or shrunk limbs: {said or 'none'}. In brackets is the smallest distance of two vertices along a limb "
+        f"(more than {APART:g} diagonals apart in all poses, by a path at most {PATH:g} times as long) over their "
+        f"smallest distance in the poses, where it is below {FOLDED:g}; of all other blends it is at least {rest:.2g}."
+    )
 
 
 def band(values: Float, share: float) -> tuple[float, float]:
@@ -80,7 +101,11 @@ def text(values: list[float] | tuple[float, ...]) -> str:
     return " / ".join(map(one, values))
 
 
-def error_table(head: str, summaries: Mapping[str, Any]) -> str:
-    """Return summaries of errors as a table, with a row for each name; the head of the names comes first."""
-    rows = [(name, text(found["lengths"]), text(found["degrees"])) for name, found in summaries.items()]
-    return markdown_table((head, "lengths, 99 / 99.9 / 100 %", "degrees"), rows)
+def error_table(head: str, summaries: Json, columns: Mapping[str, Callable[[Json], object]] | None = None) -> str:
+    """Return summaries of errors as a table, with a row for each name, and further columns before the errors."""
+    more = columns or {}
+    rows = [
+        (name, *(str(show(found)) for show in more.values()), text(found["lengths"]), text(found["degrees"]))
+        for name, found in summaries.items()
+    ]
+    return markdown_table((head, *more, "lengths, 99 / 99.9 / 100 %", "degrees"), rows)

@@ -27,13 +27,13 @@ from scipy import sparse
 from mixseq.choices import PlacementName
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.segmentation.joints import Decomposition, decompose
-from mixseq.shells.fitting import Patch, ShellReport, ShellSettings, fit_shell, rebuild_patch
-from mixseq.spaces.edge import DiscreteShell, EdgeSettings, EdgeSpace
+from mixseq.shells.fitting import Patch, ShellProblem, ShellReport, ShellSettings, fit_shell, rebuild_patch
+from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.mixed.assembly import FreeFrame
 from mixseq.spaces.mixed.construction import mixed_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.types import Float, Index
-from scripts.paper_study.common.poses import Poses
+from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.registered import PaperSpace
 from scripts.paper_study.msgi.multiscale import MultiScale
 
@@ -51,7 +51,7 @@ Seconds = tuple[float, float, float]
 
 
 class Clock:
-    """Tells the seconds of the processor since it was made, or asked before, whatever else runs."""
+    """Processor seconds since it was made or its last lap."""
 
     def __init__(self) -> None:
         self._last = time.process_time()
@@ -113,23 +113,21 @@ class ManyScales(Edge):
 
 @dataclass(frozen=True, eq=False)
 class FromPose(Edge):
-    """Gauss-Newton in S_e that starts from the first pose."""
+    """Gauss-Newton in S_e that starts from the first pose, of meshes in one piece."""
+
+    def problem(self, weights: Float) -> tuple[ShellProblem, Float]:
+        """Return what is to be solved, and the first pose ``(V, 3)`` as a start."""
+        space, shell = self.space, self.space.discrete_shell
+        (piece,) = (each for each in shell.shell_pieces if each is not None)
+        (shape,), _, _ = space.split((weights @ self.vectors)[None])
+        start = self.poses.points[0][shell.pieces.vertices[0]] / space.scale
+        return shell.problem(0, piece, space.targets(shape), space.shell), start
 
     def at(self, weights: Float) -> Blended:
-        space = self.space
-        shell = space.projection
-        assert isinstance(shell, DiscreteShell)
-        shapes, turns, centres = space.split((weights @ self.vectors)[None])
-        wanted = space.targets(shapes[0])
-        rows, reports = np.zeros_like(shell.pieces.shapes), []
+        _, turns, centres = self.space.split((weights @ self.vectors)[None])
         with one_blas_thread():
-            for number, (own, piece) in enumerate(zip(shell.pieces.vertices, shell.shell_pieces, strict=True)):
-                if piece is not None:
-                    problem = shell.problem(number, piece, wanted, space.shell)
-                    start = self.poses.points[0][own] / space.scale
-                    rows[piece.rows], report = fit_shell(problem, start, space.shell)
-                    reports.append(report)
-        return Blended(space.place_pieces(rows, turns[0], centres[0]), reports)
+            rows, report = fit_shell(*self.problem(weights), self.space.shell)
+        return Blended(self.space.place_pieces(rows, turns[0], centres[0]), [report])
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,15 +139,15 @@ class Mixed:
 
     @property
     def rigid(self) -> NDArray[np.bool_]:
-        """Mark the faces ``(F,)`` that parts hold: whose lengths are not stored, but follow from vertices."""
+        """Mark the faces ``(F,)`` of parts, whose lengths follow from vertices."""
         raise NotImplementedError
 
     def prepare(self) -> None:
-        """Do what is done once."""
-        raise NotImplementedError
+        """Do what is done once, and a first blend."""
+        self.at(np.full(len(self.poses.points), 1 / len(self.poses.points)))
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
-        """Blend step by step: seconds to a first mesh, of registration and stitching, and of steps from there."""
+        """Blend; return seconds to a first mesh, of registration and stitching, and of steps from there."""
         raise NotImplementedError
 
     def align(self) -> None:
@@ -162,7 +160,7 @@ class Mixed:
 
 @dataclass(frozen=True, eq=False)
 class Anchored(Mixed):
-    """Parts where poses and neighbours say, then lengths and angles are made to agree."""
+    """Parts placed by poses and neighbours, then lengths and angles are made to agree."""
 
     placement: ClassVar[PlacementName] = "anchored"
 
@@ -181,10 +179,6 @@ class Anchored(Mixed):
     def vectors(self) -> Float:
         """The poses."""
         return self.space.encode(self.poses.points)
-
-    def prepare(self) -> None:
-        """Do what is done once."""
-        self.timed(np.full(len(self.vectors), 1 / len(self.vectors)))
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend; all of it is one step."""
@@ -237,10 +231,7 @@ class Strips(Free):
 
 @dataclass(frozen=True, eq=False)
 class Printed(Mixed):
-    """S_m as the paper prints it: every joint by itself, registration, stitching, and no steps afterwards.
-
-    Joints are found by the linear start and Gauss-Newton; the paper takes MSGI for them.
-    """
+    """S_m as printed, with joints by the linear start and Gauss-Newton (the paper: MSGI); no steps afterwards."""
 
     complete: bool = False
     """Whether joints have the lengths and angles that a part has as well (`PaperSpace`)."""
@@ -263,9 +254,6 @@ class Printed(Mixed):
             for joint in self.decomposition.joints
         )
 
-    def prepare(self) -> None:
-        self.timed(np.full(len(self.poses.points), 1 / len(self.poses.points)))
-
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend step by step."""
         clock, joints, reports = Clock(), [], []
@@ -281,6 +269,25 @@ class Printed(Mixed):
             first = clock.lap()
             mesh = self.space.assembled(frame, joints)
         return Blended(mesh * self.poses.diagonal, reports), (first, clock.lap(), 0.0)
+
+
+STEPS = ("align", "init", "interpolation", "stitching", "settling")
+
+
+def steps_of(method: Method) -> tuple[list[float], Blended]:
+    """Blend two poses half-way; return seconds of `STEPS`, and the blend. Preparing ends with one more, taken off."""
+    clock, align = Clock(), 0.0
+    if isinstance(method, Mixed):
+        method.align()
+        align = clock.lap()
+    method.prepare()
+    init = clock.lap()
+    if isinstance(method, Mixed):
+        blend, steps = method.timed(between(0.5))
+    else:
+        blend = method.at(between(0.5))
+        steps = (clock.lap(), 0.0, 0.0)
+    return [align, max(init - sum(steps), 0.0), *steps], blend
 
 
 def strips(poses: Poses, labels: Index, width: int = WIDTH, full: bool = False) -> Decomposition:

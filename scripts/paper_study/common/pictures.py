@@ -9,32 +9,30 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mixseq.mesh.measures import edge_lengths
 from mixseq.pictures.charts import LINE_COLOURS, chart_style, new_page
 from mixseq.pictures.colours import JOINT_RED, part_colours
 from mixseq.pictures.raster import draw_mesh
 from mixseq.pictures.scene import CLAY_COLOUR, Limits, View, shared_limits, three_quarter_view, to_y_up
 from mixseq.pictures.sheets import Sheet
-from mixseq.segmentation.joints import Decomposition
 from mixseq.types import Float, Index
-from scripts.paper_study.common.poses import Poses
+from scripts.paper_study.common.poses import Poses, between
 
 DPI = 80
+BRIGHTEST = 0.3
+"""Length error that has the brightest colour."""
+
 CLOSE = 0.13
 """Half the width of a close-up, in diagonals."""
 
 
 class Panel(NamedTuple):
-    """A mesh ``(V, 3)``, what stands above it, its colours, and the vertex that a close-up is about."""
+    """A mesh ``(V, 3)``, its title and colours, and the vertex of a close-up."""
 
     title: str
     points: Float
     colours: ArrayLike = CLAY_COLOUR
     close: int | None = None
-
-
-def cut(decomposition: Decomposition) -> Float:
-    """Return colours ``(F, 3)`` of parts, and of joints in red."""
-    return held(decomposition.part_of_face, decomposition.joint_of_face < 0)
 
 
 def held(part_of_face: Index, rigid: NDArray[np.bool_]) -> Float:
@@ -48,6 +46,16 @@ def heat(poses: Poses, values: Float, most: float) -> Float:
 
     of_face = values[poses.sequence.faces].max(axis=1) / most
     return np.asarray(cm.ScalarMappable(cmap="viridis").cmap(np.clip(of_face, 0, 1)))[:, :3]
+
+
+def length_errors(poses: Poses, points: Float) -> Float:
+    """Return colours ``(F, 3)`` of the largest error of the edges at every vertex, half-way, to `BRIGHTEST`."""
+    lengths, _ = poses.target(between(0.5))
+    edges = poses.topology.edges
+    strain = np.abs(edge_lengths(points, edges) / np.maximum(lengths, 1e-9 * poses.diagonal) - 1)
+    worst = np.zeros(len(points))
+    np.maximum.at(worst, edges, strain[:, None])
+    return heat(poses, worst, BRIGHTEST)
 
 
 def gallery(target: Path, poses: Poses, rows: Sequence[Sequence[Panel]], title: str = "", turn: float = 30.0) -> None:
@@ -69,7 +77,7 @@ def gallery(target: Path, poses: Poses, rows: Sequence[Sequence[Panel]], title: 
 
 
 def _window(panel: Panel, poses: Poses, view: View, size: Float) -> Limits:
-    """The rectangle that a panel shows: the whole mesh, or what is around a vertex."""
+    """Return the rectangle of a panel: the whole mesh, or the surroundings of a vertex."""
     left, right, bottom, top = shared_limits(panel.points, poses.sequence.up_axis, view)
     middle, half = np.array([left + right, bottom + top]) / 2, size / 2
     if panel.close is not None:
@@ -79,14 +87,8 @@ def _window(panel: Panel, poses: Poses, view: View, size: Float) -> Limits:
     return float(x - width), float(x + width), float(y - height), float(y + height)
 
 
-def _root(values: Float) -> Float:
-    """Signed square roots: with straight axes the inner bands could not be seen."""
-    return np.sign(values) * np.sqrt(np.abs(values))
-
-
-def _square(values: Float) -> Float:
-    return np.sign(values) * np.square(values)
-
+SIGNED_ROOT = (lambda x: np.sign(x) * np.sqrt(np.abs(x)), lambda x: np.sign(x) * np.square(x))
+"""Scale of axes, and its inverse: on straight axes the inner bands could not be seen."""
 
 Bands = Mapping[str, Any]
 """Bands of lengths and of angles, by method: ``{"lengths": (W, shares, 2), "degrees": (W, shares, 2)}``."""
@@ -96,12 +98,7 @@ def envelopes(target: Path, title: str, weights: Sequence[float], bands: Bands) 
     """Draw bands of errors over the weight, a column for every method, as a PNG."""
     names = list(bands)
     rows = (
-        (
-            "lengths",
-            "relative length error",
-            ("all", "99.9 %", "99 %"),
-            ("#9db8cf", LINE_COLOURS[0], "#123a57"),
-        ),
+        ("lengths", "relative length error", ("all", "99.9 %", "99 %"), ("#9db8cf", LINE_COLOURS[0], "#123a57")),
         (
             "degrees",
             "dihedral error (degrees)",
@@ -118,7 +115,7 @@ def envelopes(target: Path, title: str, weights: Sequence[float], bands: Bands) 
                 values = np.asarray(bands[name][kind])
                 for number, (share, colour) in enumerate(zip(shares, colours, strict=True)):
                     ax.fill_between(weights, *values[:, number].T, color=colour, linewidth=0, label=share)
-                ax.set_yscale("function", functions=(_root, _square))
+                ax.set_yscale("function", functions=SIGNED_ROOT)
                 ax.set_ylim(-most, most)
                 ax.set_xlim(0, 1)
             axes[0].set_ylabel(label)

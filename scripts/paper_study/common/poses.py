@@ -8,6 +8,8 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
 
 import mixseq
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles
@@ -20,7 +22,7 @@ from scripts.benchmarks.common.harness import animation, subdivided
 
 
 class Source(NamedTuple):
-    """Which animation a mesh is from, the pair and the six frames that are blended, how many weights are tried.
+    """Animation of a mesh, the pair and the six frames that are blended, and the number of steps of the weight.
 
     `printed` is what the paper calls the mesh, or one with as many vertices. If `fine`, triangles are split into four.
     """
@@ -41,18 +43,27 @@ MESHES = {
     "horse_gallop": Source("horse_gallop", (5, 11), (0, 4, 8, 12, 16, 20), 20, "horse"),
 }
 """The four meshes of the paper that there are data of, and a second pair of its horse. Which frames the paper blends
-is not told. Those of the gallops and of the horse are the farthest; `Poses.rank` tells of all."""
+is not told. Those of the gallops and of the horse are the farthest; `Poses.rank` has all."""
 
 FINE = {"elephant_fine": Source("elephant_gallop", (0, 5), (0, 4, 8, 12, 16, 20), 8, "armadillo", fine=True)}
 """As large as the paper's largest mesh, for times."""
 
 ALL = MESHES | FINE
 
-RANKED = 3
-"""One in so many vertices tells which pairs of frames are far apart."""
+PAPER = tuple(mesh for mesh in MESHES if mesh != "horse_gallop")
+"""The meshes of the paper."""
 
-FRAMES = 24
-"""So many frames of an animation, at most, tell of its parts."""
+RANK_STRIDE = 3
+"""Stride of the vertices by whose distances pairs of frames are ranked."""
+
+MAX_FRAMES = 24
+"""Largest number of frames of an animation that parts are found from."""
+
+LIMB_VERTICES = 200
+"""Largest number of vertices that distances along limbs are taken of."""
+
+APART, PATH = 0.2, 1.5
+"""Two vertices of a limb are farther apart than this, in diagonals, by a path at most that many times as long."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +89,8 @@ class Poses:
 
     @property
     def rank(self) -> tuple[int, int]:
-        """How many pairs of frames of the animation are as far apart as this one or farther, and of how many."""
-        frames = self.sequence.points[:, ::RANKED].astype(np.float64)
+        """Number of pairs of frames of the animation that are as far apart as this one or farther, and of all pairs."""
+        frames = self.sequence.points[:, ::RANK_STRIDE].astype(np.float64)
         own = _apart(*(frames[number] for number in self.frames[:2]))
         others = [_apart(first, second) for first, second in combinations(frames, 2)]
         return sum(other >= own for other in others), len(others)
@@ -105,8 +116,8 @@ class Poses:
 
     @property
     def telling(self) -> Float:
-        """Frames of the whole animation that tell of the parts, (T, V, 3)."""
-        step = max(1, -(-len(self.sequence) // FRAMES))
+        """Frames ``(T, V, 3)`` of the whole animation that parts are found from."""
+        step = max(1, -(-len(self.sequence) // MAX_FRAMES))
         return self.sequence.points[::step].astype(np.float64)
 
     def segmented(self, parts: int | None = None) -> Index:
@@ -123,13 +134,30 @@ class Poses:
         """Dihedral angles ``(n, H)``, from pose to pose by the shorter way round."""
         return unwrap_angles(np.stack([dihedral_angles(x, self.topology.hinges) for x in self.points]))
 
+    def distances(self, starts: list[int]) -> Float:
+        """Return the lengths ``(n, V)`` of the shortest paths of edges from vertices, in diagonals."""
+        lengths, count = self.lengths.mean(axis=0) / self.diagonal, self.topology.vertex_count
+        graph = sparse.coo_array((lengths, tuple(self.topology.edges.T)), shape=(count, count)).tocsr()
+        return np.asarray(dijkstra(graph, directed=False, indices=starts))
+
+    @cached_property
+    def along_limbs(self) -> tuple[Index, Float]:
+        """Pairs ``(n, 2)`` of vertices along limbs, and their smallest distances ``(n,)`` in all poses."""
+        count = self.topology.vertex_count
+        chosen = np.arange(0, count, -(-count // LIMB_VERTICES))
+        first, second = np.triu_indices(len(chosen), 1)
+        shortest = np.min([np.linalg.norm(x[chosen[second]] - x[chosen[first]], axis=1) for x in self.points], axis=0)
+        paths = self.distances(chosen.tolist())[first, chosen[second]] * self.diagonal
+        kept = (shortest > APART * self.diagonal) & (paths < PATH * shortest)
+        return np.stack([chosen[first], chosen[second]], axis=1)[kept], shortest[kept]
+
     def target(self, weights: Float) -> tuple[Float, Float]:
         """Return the blended lengths ``(E,)`` and angles ``(H,)``."""
         return weights @ self.lengths, weights @ self.angles
 
 
 def _apart(first: Float, second: Float) -> float:
-    """Sum of squared distances of vertices ``(V, 3)``, up to a rigid motion."""
+    """Return the sum of squared distances of vertices ``(V, 3)``, up to a rigid motion."""
     return float(np.square(transform_points(first, *kabsch(first, second)) - second).sum())
 
 

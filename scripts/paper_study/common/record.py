@@ -1,6 +1,6 @@
 """What is known so far: a JSON file for each table or figure, from which its page and the index are written again.
 
-A run may regenerate one table on one mesh; everything else stays as it was, and tells what it was measured on.
+A run may regenerate one table on one mesh; everything else stays as it was, with what it was measured on.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,9 @@ from scripts.benchmarks.common.harness import markdown_table
 from scripts.benchmarks.common.origin import origin
 
 Json = dict[str, Any]
+Say = Callable[[str], None]
 Results = dict[str, Json]
-"""What was measured, by mesh."""
+"""Measurements by mesh."""
 
 
 def load(out: Path, name: str) -> Results:
@@ -28,7 +29,7 @@ def load(out: Path, name: str) -> Results:
 
 
 def save(out: Path, name: str, results: Results) -> None:
-    """Keep them."""
+    """Write the results of a table or figure into a folder."""
     file = _file(out, name)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(results, indent=1) + "\n")
@@ -67,14 +68,17 @@ def origins(results: Results) -> list[str]:
     rows = [
         (
             mesh,
-            result["measured"],
-            f"{result['seconds']:.0f}",
-            f"{result['load']:.1f}" if "load" in result else "not known",
-            result["commit"],
-            str(1 + machines.index(machine_line(result))),
+            r["measured"],
+            f"{r['seconds']:.0f}",
+            f"{r['load']:.1f}",
+            r["commit"],
+            str(1 + machines.index(machine_line(r))),
         )
-        for mesh, result in results.items()
+        for mesh, r in results.items()
     ]
     table = markdown_table(("mesh", "measured", "s", "load", "commit", "machine"), rows)
-    told = "Load is how many programs wanted a core; where that is more than there are cores, times are too long."
-    return ["## Measured on", table, told, *(f"Machine {n}: {m}." for n, m in enumerate(machines, start=1))]
+    note = (
+        "Load is the number of programs that wanted a core. Times in tables are of the processor; where load is above "
+        "the number of cores they are longer than on a quiet machine, as caches are shared."
+    )
+    return ["## Measured on", table, note, *(f"Machine {n}: {m}." for n, m in enumerate(machines, start=1))]

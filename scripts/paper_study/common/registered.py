@@ -1,7 +1,7 @@
 """S_m and P_m as the paper prints them (Sections 2.2 and 2.3).
 
 A point of S_m is the aligned vertices of parts, the lengths and angles of joints, and poses. P_m finds joints by
-themselves, registers all pieces, and stitches them. mixseq does it otherwise, see `mixseq.spaces.mixed`.
+themselves, registers all pieces, and stitches them. The product's way is `mixseq.spaces.mixed`.
 
 Joints and parts overlap by a strip, whose lengths and angles follow from the blended part as well. Two readings: joints
 have all their own (the dimension that the paper defines counts them), or only those that no part has.
@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths
+from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths, length_weights
 from mixseq.mesh.rigid import mean_shape, transform_points
 from mixseq.mesh.rotations import align_quat_signs, matrix_to_quat, quat_to_matrix
 from mixseq.segmentation.joints import Decomposition
@@ -28,23 +28,18 @@ from scripts.paper_study.common.stitching import Seams, stitch
 
 
 class PaperFrame(NamedTuple):
-    """A point of S_m: p parts with N vertices in all, in diagonals and radians.
-
-    Attributes
-    ----------
-    lengths, angles : (E,), (H,) float64
-        Lengths and angles of all edges and hinges: blended where joints have them, else of the blended part.
-    parts : (N, 3) float64
-        Aligned vertices of all parts.
-    rotations, centres : (p, 4), (p, 3) float64
-        Poses of the parts, of which the first of a group counts; quaternions of any length.
-    """
+    """A point of S_m: p parts with N vertices in all, in diagonals and radians."""
 
     lengths: Float
     angles: Float
+    """Lengths ``(E,)`` and angles ``(H,)``: blended where joints have them, else of the blended part."""
+
     parts: Float
+    """Aligned vertices ``(N, 3)`` of all parts."""
+
     rotations: Float
     centres: Float
+    """Poses of the parts ``(p, 4), (p, 3)``, of which the first of a group counts; quaternions of any length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +103,7 @@ class PaperSpace:
     @cached_property
     def length_weights(self) -> Float:
         """One over the mean lengths ``(E,)`` of edges."""
-        typical = self.poses.lengths.mean(axis=0) / self.poses.diagonal
-        return np.asarray(np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > 0))
+        return length_weights(self.poses.lengths.mean(axis=0) / self.poses.diagonal)
 
     def frame(self, weights: Float) -> PaperFrame:
         """Blend poses with weights ``(T,)``."""
@@ -117,13 +111,11 @@ class PaperSpace:
         edges, hinges = self._rows
         lengths = edge_lengths(parts, np.maximum(edges, 0))
         angles = dihedral_angles(parts, np.maximum(hinges, 0))
-        blended, told = self.poses.target(weights)
+        blended, blended_angles = self.poses.target(weights)
         mine, blended = self.blended_edges, blended / self.poses.diagonal
         lengths[mine] = clamp_lengths(blended[mine], self.length_weights[mine])
-        angles[self.blended_hinges] = told[self.blended_hinges]
+        angles[self.blended_hinges] = blended_angles[self.blended_hinges]
         return PaperFrame(lengths, angles, parts, rotations, centres)
-
-    # Registration and stitching ----------------------------------------------------------------------------
 
     @cached_property
     def pieces(self) -> list[Index]:
@@ -133,7 +125,7 @@ class PaperSpace:
 
     @cached_property
     def overlaps(self) -> Overlaps:
-        """Which vertices they share."""
+        """The vertices that they share."""
         cut = self.decomposition
         # Pairs are judged by their first piece, and pairs of joints (which share no face) do not count.
         shapes = np.split(self.shapes, np.cumsum([len(part) for part in cut.parts])[:-1])
@@ -155,11 +147,10 @@ class PaperSpace:
         return stitch(self.seams, placed, lengths)
 
     def _placed(self, frame: PaperFrame, points: Float) -> Float:
-        """Register all pieces ``(N, 3)``, parts and then joints, and move them to where the poses say."""
+        """Register all pieces ``(N, 3)``, parts and then joints, and move them by the poses."""
         overlaps = self.overlaps
         rotation, translation = register(overlaps, points)
         turns = quat_to_matrix(frame.rotations)[overlaps.group]
         to_world = turns @ rotation
         centre = transform_points(translation[:, None], turns, frame.centres[overlaps.group])[:, 0]
-        owner = np.repeat(np.arange(len(overlaps.sizes)), overlaps.sizes)
-        return np.asarray(np.einsum("nij,nj->ni", to_world[owner], points) + centre[owner])
+        return np.asarray(np.einsum("nij,nj->ni", to_world[overlaps.owner], points) + centre[overlaps.owner])

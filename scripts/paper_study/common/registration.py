@@ -27,30 +27,25 @@ from mixseq.types import Float, Index
 
 @dataclass(frozen=True, eq=False)
 class Overlaps:
-    """Which vertices the pieces share.
-
-    Attributes
-    ----------
-    sizes : (n,) int64
-        Number of vertices of every piece. Points of all pieces are kept in one array, piece after piece.
-    pieces : (P, 2) int64
-        The two pieces of every pair of copies, the first one with the lower number.
-    rows : (P, 2) int64
-        Rows of the two copies in the array of all points.
-    group : (n,) int64
-        Pieces of one group are held together by their overlaps; the number is that of its first piece.
-    tree : (n,) int64
-        Parent of every piece in the spanning tree of its group, -1 for the first piece.
-    order : (n,) int64
-        Pieces, parents before children.
-    """
+    """The vertices that pieces share. Points of all pieces are kept in one array, piece after piece."""
 
     sizes: Index
+    """Number of vertices ``(n,)`` of every piece."""
+
     pieces: Index
+    """The two pieces ``(P, 2)`` of every pair of copies, the first one with the lower number."""
+
     rows: Index
+    """Rows ``(P, 2)`` of the two copies."""
+
     group: Index
+    """First piece ``(n,)`` of the pieces that overlaps hold together."""
+
     tree: Index
+    """Parent ``(n,)`` of every piece in the spanning tree of its group, -1 for the first piece."""
+
     order: Index
+    """Pieces ``(n,)``, parents before children."""
 
     @classmethod
     def of(cls, vertices: list[Index], shapes: list[Float]) -> Overlaps:
@@ -75,23 +70,16 @@ class Overlaps:
         return cls(sizes, pieces, pairs, group, tree, order)
 
     @cached_property
-    def starts(self) -> Index:
-        """First row of every piece."""
-        return np.asarray(np.cumsum(self.sizes) - self.sizes)
-
-    @cached_property
-    def roots(self) -> Index:
-        """First piece of every group."""
-        return np.flatnonzero(self.tree < 0)
+    def owner(self) -> Index:
+        """Piece of every row."""
+        return np.repeat(np.arange(len(self.sizes)), self.sizes)
 
     @cached_property
     def incidence(self) -> sparse.csr_array:
         """The matrix B ``(P, n)``."""
         count = len(self.pieces)
-        row = np.repeat(np.arange(count), 2)
-        value = np.tile([1.0, -1.0], count)
-        size = (count, len(self.sizes))
-        return sparse.coo_array((value, (row, self.pieces.reshape(-1))), shape=size).tocsr()
+        row, size = np.repeat(np.arange(count), 2), (count, len(self.sizes))
+        return sparse.coo_array((np.tile([1.0, -1.0], count), (row, self.pieces.reshape(-1))), shape=size).tocsr()
 
     @cached_property
     def translation_solver(self) -> Float:
@@ -100,31 +88,16 @@ class Overlaps:
 
 
 def register(overlaps: Overlaps, points: Float, sweeps: int = 500, tolerance: float = 1e-12) -> tuple[Float, Float]:
-    """Find the rigid motions that bring pieces together.
+    """Return the motions ``x -> R x + t`` ``(n, 3, 3), (n, 3)`` that bring pieces together, the first ones at rest.
 
-    Parameters
-    ----------
-    overlaps : Overlaps
-        Which rows of `points` are copies of one vertex.
-    points : (sum(sizes), 3) float64
-        Vertices of all pieces, each in its own coordinates.
-    sweeps : int
-        At most this many rounds.
-    tolerance : float
-        Stop when a round changes no entry of a rotation by more than this, or no longer lowers the energy.
-
-    Returns
-    -------
-    rotation : (n, 3, 3) float64
-    translation : (n, 3) float64
-        Motions ``x -> R x + t``; the first piece of every group stays where it is.
+    Rounds end when one changes no entry of a rotation by more than the tolerance, or no longer lowers the energy.
     """
     rotation, translation = _along_tree(overlaps, points)
     if not len(overlaps.pieces):
         return rotation, translation
     matrix, projected = _energy_matrix(overlaps, points)
     stacked = np.swapaxes(rotation, 1, 2).reshape(-1, 3)  # R_k^T below each other: rows are points' coordinates
-    # Below this the energy is rounding: a hopelessly thin overlap may turn for ever without lowering it.
+    # Smaller changes are rounding: a very thin overlap may turn for ever without lowering the energy.
     rounding = 1e-15 * float(np.trace(matrix))
     energy = np.inf
     for _ in range(sweeps):
@@ -145,40 +118,36 @@ def register(overlaps: Overlaps, points: Float, sweeps: int = 500, tolerance: fl
 
 
 def _pairs_of_equals(values: Index) -> Index:
-    """All pairs ``(P, 2)`` of positions with equal values, in ascending order."""
-    order = np.argsort(values, kind="stable")
+    """Return all pairs ``(P, 2)`` of positions with equal values, in ascending order."""
+    order, found = np.argsort(values, kind="stable"), [np.zeros((0, 2), dtype=np.int64)]
     ordered = values[order]
-    found = []
-    step = 1
-    while step < len(values):
+    for step in range(1, len(values)):
         same = ordered[step:] == ordered[:-step]
         if not same.any():
             break
         found.append(np.stack([order[:-step][same], order[step:][same]], axis=1))
-        step += 1
-    pairs = np.concatenate(found) if found else np.zeros((0, 2), dtype=np.int64)
+    pairs = np.concatenate(found)
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
 def _forest(strength: Float) -> tuple[Index, Index, Index]:
-    """Groups, parents and order of the maximum spanning forest of an upper triangular matrix."""
+    """Return groups, parents and order of the maximum spanning forest of an upper triangular matrix."""
     count = len(strength)
     costs = np.where(strength > 0, 1.0 / np.maximum(strength, 1.0), 0.0)
     forest = csgraph.minimum_spanning_tree(sparse.csr_array(costs))
-    group = np.full(count, -1, dtype=np.int64)
-    parent = np.full(count, -1, dtype=np.int64)
+    group, parent = np.full((2, count), -1, dtype=np.int64)
     orders = []
     for piece in range(count):
-        if group[piece] >= 0:
-            continue
-        order, predecessors = csgraph.breadth_first_order(forest, piece, directed=False)
-        group[order] = piece
-        parent[order[1:]] = predecessors[order[1:]]
-        orders.append(order)
+        if group[piece] < 0:
+            order, predecessors = csgraph.breadth_first_order(forest, piece, directed=False)
+            group[order] = piece
+            parent[order[1:]] = predecessors[order[1:]]
+            orders.append(order)
     return group, parent, np.concatenate(orders).astype(np.int64) if orders else np.zeros(0, dtype=np.int64)
 
 
 def _along_tree(overlaps: Overlaps, points: Float) -> tuple[Float, Float]:
+    """Register every piece with its parent."""
     count = len(overlaps.sizes)
     rotation = np.tile(np.eye(3), (count, 1, 1))
     translation = np.zeros((count, 3))
@@ -195,13 +164,11 @@ def _along_tree(overlaps: Overlaps, points: Float) -> tuple[Float, Float]:
 
 
 def _energy_matrix(overlaps: Overlaps, points: Float) -> tuple[Float, Float]:
-    """The matrix M ``(3n, 3n)`` and ``B^T Q`` ``(n, 3n)``."""
+    """Return the matrix M ``(3n, 3n)`` and ``B^T Q`` ``(n, 3n)``."""
     count = len(overlaps.pieces)
-    row = np.repeat(np.arange(count), 6)
-    column = (3 * overlaps.pieces[:, :, None] + np.arange(3)).reshape(-1)
+    place = np.repeat(np.arange(count), 6), (3 * overlaps.pieces[:, :, None] + np.arange(3)).reshape(-1)
     value = (points[overlaps.rows] * np.array([1.0, -1.0])[:, None]).reshape(-1)
-    size = (count, 3 * len(overlaps.sizes))
-    q = sparse.coo_array((value, (row, column)), shape=size).tocsr()
+    q = sparse.coo_array((value, place), shape=(count, 3 * len(overlaps.sizes))).tocsr()
     projected = (overlaps.incidence.T @ q).toarray()
     return (q.T @ q).toarray() - projected.T @ overlaps.translation_solver @ projected, projected
 

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.mesh.measures import scatter_add
 from mixseq.mesh.topology import Topology
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.types import Float, Index
@@ -25,27 +26,20 @@ from mixseq.types import Float, Index
 
 @dataclass(frozen=True, eq=False)
 class Seams:
-    """Edges of all pieces, as pairs of rows in the array of all pieces' points.
-
-    Attributes
-    ----------
-    vertex : (N,) int64
-        Global vertex of every row.
-    rows : (S, 2) int64
-        Edge of a piece, as two rows.
-    edge : (S,) int64
-        Its global number.
-    vertex_count : int
-        Number of vertices of the mesh.
-    weights : (S,) float64, optional
-        How much the edges of the pieces count; without them all count alike, as in the paper.
-    """
+    """Edges of all pieces, as pairs of rows in the array of all pieces' points."""
 
     vertex: Index
+    """Vertex ``(N,)`` of the mesh of every row."""
+
     rows: Index
+    """Edges ``(S, 2)`` of the pieces, as two rows."""
+
     edge: Index
+    """Their ids ``(S,)`` in the mesh."""
+
     vertex_count: int
     weights: Float | None = None
+    """Weights ``(S,)`` of the edges; without them all are 1, as in the paper."""
 
     @classmethod
     def of(cls, topology: Topology, vertices: list[Index]) -> Seams:
@@ -64,10 +58,8 @@ class Seams:
     def incidence(self) -> sparse.csr_array:
         """The matrix M ``(S, V)``: -1 at an edge's first vertex, +1 at its second."""
         count = len(self.rows)
-        row = np.repeat(np.arange(count), 2)
-        value = np.tile([-1.0, 1.0], count)
-        column = self.vertex[self.rows].reshape(-1)
-        return sparse.coo_array((value, (row, column)), shape=(count, self.vertex_count)).tocsr()
+        place = np.repeat(np.arange(count), 2), self.vertex[self.rows].reshape(-1)
+        return sparse.coo_array((np.tile([-1.0, 1.0], count), place), shape=(count, self.vertex_count)).tocsr()
 
     @cached_property
     def normal(self) -> sparse.csr_array:
@@ -95,21 +87,9 @@ class Seams:
 
 
 def stitch(seams: Seams, points: Float, lengths: Float) -> Float:
-    """Merge placed pieces into one mesh.
+    """Merge placed pieces ``(N, 3)`` into one mesh ``(V, 3)``; each component's centre is that of its pieces.
 
-    Parameters
-    ----------
-    seams : Seams
-        Edges of the pieces.
-    points : (N, 3) float64
-        Vertices of all pieces, placed.
-    lengths : (E,) float64
-        Length that every edge of the mesh should have; NaN where the piece's own length counts.
-
-    Returns
-    -------
-    (V, 3) float64
-        Vertices; each component's centre is that of its pieces.
+    Edges get the given lengths ``(E,)``, or where these are NaN the piece's own.
     """
     sides = points[seams.rows[:, 1]] - points[seams.rows[:, 0]]
     own = np.linalg.norm(sides, axis=1)
@@ -126,7 +106,5 @@ def stitch(seams: Seams, points: Float, lengths: Float) -> Float:
 
 
 def _average(values: Float, group: Index, count: int = 0) -> Float:
-    """Mean of the rows of each group."""
-    size = np.bincount(group, minlength=count)
-    sums = [np.bincount(group, column, minlength=count) for column in values.T]
-    return np.stack(sums, axis=1) / np.maximum(size, 1)[:, None]
+    """Return the mean of the rows of each group."""
+    return scatter_add(values, group, count) / np.maximum(np.bincount(group, minlength=count), 1)[:, None]

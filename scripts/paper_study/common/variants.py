@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.errors import errors, text
-from scripts.paper_study.common.methods import Clock, Mixed
+from scripts.paper_study.common.methods import Mixed, steps_of
 from scripts.paper_study.common.poses import between
 from scripts.paper_study.common.printed import Variant
 from scripts.paper_study.common.record import Json
@@ -21,17 +21,8 @@ COLUMNS = (
 def row_of(method: Mixed, runs: int = 3) -> Json:
     """Return milliseconds (the fastest run), dimension as defined, errors at w = 0.5."""
     poses, cut = method.poses, method.decomposition
-    best: list[float] = []
-    for _ in range(runs):
-        fresh = replace(method, poses=poses.moved(poses.points))
-        clock = Clock()
-        fresh.align()
-        align = clock.lap()
-        fresh.prepare()
-        init = clock.lap()
-        blend, steps = fresh.timed(between(0.5))
-        seconds = [align, init, *steps]
-        best = min(best or seconds, seconds, key=lambda each: sum(each[1:]))
+    fresh = [replace(method, poses=poses.moved(poses.points)) for _ in range(runs)]
+    best, blend = min(map(steps_of, fresh), key=lambda each: sum(each[0][1:]))
     return {
         "parts": len(cut.parts),
         "joints": len(cut.joints),
@@ -42,7 +33,7 @@ def row_of(method: Mixed, runs: int = 3) -> Json:
     }
 
 
-def ours(mesh: str, what: str, row: Json) -> tuple[str, ...]:
+def measured_row(mesh: str, what: str, row: Json) -> tuple[str, ...]:
     """Return a row of the table."""
     return (
         mesh, what, str(row["parts"]), str(row["joints"]), *(f"{ms:.0f}" for ms in row["ms"]), f"{row['total']:.0f}",
@@ -50,7 +41,7 @@ def ours(mesh: str, what: str, row: Json) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def theirs(mesh: str, what: str, parts: str, joints: str, row: Variant) -> tuple[str, ...]:
+def printed_row(mesh: str, what: str, parts: str, joints: str, row: Variant) -> tuple[str, ...]:
     """Return a row that the paper prints."""
     steps = (row.align, row.init, row.interpolation, row.stitching)
     return (

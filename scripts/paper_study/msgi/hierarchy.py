@@ -8,7 +8,7 @@ leaf.
 Leaves then grow by strips of triangles, the faces that touch a vertex, and every other patch is what its children
 are together. So neighbouring patches overlap on all levels, by at least the two faces at any hinge between them.
 
-How patches are cut is ours; the paper does not tell, and it depends on nothing but connectivity.
+How patches are cut is not in the paper; here it depends on connectivity only.
 """
 
 from __future__ import annotations
@@ -20,56 +20,24 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.types import Index
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A hinge-connected patch of a mesh.
-
-    Attributes
-    ----------
-    faces : (m,) int64
-        Its faces, ascending.
-    children : tuple of Region
-        The patches that it is the union of; none of a leaf.
-    """
+    """A hinge-connected patch of ascending faces ``(m,)``, and the patches it is the union of; none of a leaf."""
 
     faces: Index
     children: tuple[Region, ...]
 
 
 def divide(topology: Topology, faces: Index, leaf: int, group: int, strips: int) -> Region:
-    """Cut a hinge-connected set of faces into a hierarchy of patches.
+    """Cut hinge-connected faces ``(m,)``, ascending, into a hierarchy of patches.
 
-    Parameters
-    ----------
-    topology : Topology
-        Connectivity of the mesh.
-    faces : (m,) int64
-        Hinge-connected faces, ascending.
-    leaf : int
-        Leaves have at most so many faces before they grow, at least 1.
-    group : int
-        A patch has at most so many children, at least 2.
-    strips : int
-        Strips of triangles by which leaves grow, at least 1.
-
-    Returns
-    -------
-    Region
-        The patch of all the faces.
-
-    Raises
-    ------
-    SettingsError
-        If one of the numbers is too small.
+    Leaves have at most `leaf` faces before they grow by strips of triangles, patches at most `group` (2 or more)
+    children.
     """
-    for name, value, least in (("leaf", leaf, 1), ("group", group, 2), ("strips", strips, 1)):
-        if value < least:
-            raise SettingsError(f"{name} is {value}; at least {least} is needed")
     neighbours = sparse.csr_array(topology.face_adjacency[faces][:, faces])
     count = len(faces)
     vertices, vertex = np.unique(topology.faces[faces], return_inverse=True)
@@ -101,14 +69,7 @@ def _nearest_seeds(graph: sparse.csr_array, count: int) -> Index:
 
 def _distances(graph: sparse.csr_array, seeds: list[int]) -> tuple[NDArray[np.float64], Index]:
     """Steps ``(n,)`` from the nearest seed, and that seed ``(n,)``."""
-    distance, _, owner = csgraph.dijkstra(
-        graph,
-        directed=False,
-        indices=np.array(seeds),
-        unweighted=True,
-        min_only=True,
-        return_predecessors=True,
-    )
+    distance, _, owner = csgraph.dijkstra(graph, False, np.array(seeds), True, unweighted=True, min_only=True)
     return distance, owner.astype(np.int64)
 
 

@@ -13,10 +13,9 @@ A mesh is cut into small patches that overlap, which are merged to larger and la
 There is no optimisation of the whole mesh. The systems of all patches depend on connectivity only and are factored
 once. Where lengths and angles belong to a mesh the result is that mesh.
 
-The paper tells of overlaps by strips of triangles, of registration and of edge blending (Sections 1.1 and 2.1 to 2.3).
-Ours are the hierarchy and all its numbers, how leaves are rebuilt, and the weights: those of the paper are 1, here an
-edge counts the more the farther it is from the child's rim. A child knows little of its rim, where it lacks what lies
-beyond; and weights that fade out blend from child to child instead of jumping.
+The paper describes overlaps by strips of triangles, registration and edge blending (Sections 1.1 and 2.1 to 2.3). The
+hierarchy and all its numbers, how leaves are rebuilt, and the weights are chosen here (docs/paper/methods.md): weights
+of the paper are 1, here they grow with the distance from the child's rim.
 """
 
 from __future__ import annotations
@@ -29,10 +28,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.errors import ReconstructionError
 from mixseq.mesh.measures import clamp_lengths
 from mixseq.mesh.topology import Topology
-from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import Patch, ShellReport, ShellSettings, rebuild_patch
 from mixseq.spaces.edge import ShellTargets
@@ -43,42 +40,26 @@ from scripts.paper_study.common.stitching import Seams, stitch
 from scripts.paper_study.msgi.hierarchy import Region, divide
 
 LEAF = 300
-"""Leaves have at most so many faces, before they grow."""
+"""Largest number of faces of leaves, before they grow."""
 
 GROUP = 6
-"""So many patches are merged at once, at most."""
+"""Largest number of patches that are merged at once."""
 
 STRIPS = 3
 """Strips of triangles by which leaves grow; between far poses one alone doubles the errors of lengths at seams."""
 
-STEPS = 10
-"""Steps of Gauss-Newton in a leaf, at most: what the last ones gain is lost where leaves are merged."""
+STEPS, GAIN = 10, 0.01
+"""Largest number of Gauss-Newton steps in a leaf, and the predicted decrease of its energy, relative, that ends them.
+What further steps gain is lost where leaves are merged."""
 
-GAIN = 0.01
-"""For the same reason a leaf is done when a step promises to lower its energy by less than this fraction."""
-
-SWEEPS = 50
-"""Rounds of a registration, at most: children fit each other only so well, and more changes nothing one could see."""
-
-TOLERANCE = 1e-6
-"""A registration ends when a round changes no entry of a rotation by more than this."""
+SWEEPS, TOLERANCE = 50, 1e-6
+"""Largest number of rounds of a registration, and the change of entries of rotations that ends it."""
 
 
 @dataclass(frozen=True, eq=False)
-class Leaf(PickledWithoutCaches):
-    """A patch that is rebuilt from its lengths and angles.
+class Leaf:
+    """A patch that is rebuilt from its lengths and angles: ids of its edges and hinges, and its connectivity."""
 
-    Attributes
-    ----------
-    vertices : (n,) int64
-        Its vertices, ascending.
-    edges, hinges : (e,), (h,) int64
-        Numbers of its edges and hinges in the mesh.
-    patch : Patch
-        Connectivity, nothing fixed.
-    """
-
-    vertices: Index
     edges: Index
     hinges: Index
     patch: Patch
@@ -90,7 +71,7 @@ class Leaf(PickledWithoutCaches):
         inside[faces] = True
         joint = make_joint(topology, inside, np.zeros(topology.vertex_count, dtype=bool))
         patch = Patch.from_joint(topology, joint, ~joint.free)
-        return cls(joint.vertices, joint.edge_ids, joint.hinge_ids, patch)
+        return cls(joint.edge_ids, joint.hinge_ids, patch)
 
     def rebuilt(
         self, lengths: Float, angles: Float, weights: Float, settings: ShellSettings
@@ -99,32 +80,16 @@ class Leaf(PickledWithoutCaches):
         settings = replace(
             settings, iterations=min(settings.iterations, STEPS), tolerance=max(settings.tolerance, GAIN)
         )
-        nowhere = np.zeros((len(self.vertices), 3))
+        nowhere = np.zeros((len(self.patch.fixed_mask), 3))
         own = lengths[self.edges], angles[self.hinges], weights[self.edges]
         return rebuild_patch(self.patch, *own, nowhere, settings)
 
 
 @dataclass(frozen=True, eq=False)
-class Merge(PickledWithoutCaches):
-    """A patch that is put together from its children, the patches last made.
+class Merge:
+    """A patch that is put together from its children, the patches last made: ids of its edges, vertices they share."""
 
-    Attributes
-    ----------
-    vertices : (n,) int64
-        Its vertices, ascending.
-    edges : (e,) int64
-        Numbers of its edges in the mesh.
-    children : int
-        How many children it has.
-    overlaps : Overlaps
-        What these share.
-    seams : Seams
-        Their edges, with vertices and edges numbered as here.
-    """
-
-    vertices: Index
     edges: Index
-    children: int
     overlaps: Overlaps
     seams: Seams
 
@@ -148,39 +113,19 @@ class Merge(PickledWithoutCaches):
         )
         # Shapes are not known here. Points in general position stand for them: three shared vertices hold.
         shapes = [np.cos(np.outer(mine + 1, np.sqrt([2.0, 3.0, 5.0]))) for mine in own]
-        return cls(vertices, edges, len(own), Overlaps.of(own, shapes), seams)
+        return cls(edges, Overlaps.of(own, shapes), seams)
 
     def merged(self, points: list[Float], lengths: Float) -> Float:
         """Return points ``(n, 3)`` from those of the children and the lengths of the mesh."""
         rows = np.concatenate(points)
         rotations, translations = register(self.overlaps, rows, SWEEPS, TOLERANCE)
-        owner = np.repeat(np.arange(self.children), self.overlaps.sizes)
-        placed = np.einsum("nij,nj->ni", rotations[owner], rows) + translations[owner]
+        placed = np.einsum("nij,nj->ni", rotations[self.overlaps.owner], rows) + translations[self.overlaps.owner]
         return stitch(self.seams, placed, lengths[self.edges])
 
 
 @dataclass(frozen=True, eq=False)
-class MultiScale(PickledWithoutCaches):
-    """Rebuilds meshes patch by patch, as a projection of the edge space.
-
-    Attributes
-    ----------
-    topology : Topology
-        Connectivity of the mesh.
-    pieces : Pieces
-        Its hinge-connected pieces.
-    leaf : int
-        Leaves have at most so many faces before they grow.
-    group : int
-        So many patches are merged at once, at most.
-    strips : int
-        Strips of triangles by which leaves grow.
-
-    Raises
-    ------
-    SettingsError
-        When it is first used, if `leaf` or `strips` is below 1, or `group` below 2.
-    """
+class MultiScale:
+    """Rebuilds hinge-connected pieces of meshes patch by patch, as a projection of the edge space."""
 
     topology: Topology
     pieces: Pieces
@@ -190,7 +135,7 @@ class MultiScale(PickledWithoutCaches):
 
     @cached_property
     def steps(self) -> tuple[tuple[Leaf | Merge, ...], ...]:
-        """What is done for every piece, children before those they are merged to."""
+        """Patches of every piece, children before those they are merged to."""
         steps = []
         for faces in self.pieces.faces:
             whole = [divide(self.topology, faces, self.leaf, self.group, self.strips)] if len(faces) else []
@@ -200,10 +145,6 @@ class MultiScale(PickledWithoutCaches):
     def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Fit rows as `DiscreteShell.fit` does, with a report for every leaf."""
         lengths, angles, weights = wanted.lengths, wanted.angles, wanted.length_weights
-        for name, values, of in (("length", lengths, "edge"), ("angle", angles, "hinge")):
-            wrong = np.flatnonzero(~np.isfinite(values))
-            if wrong.size:
-                raise ReconstructionError(f"the {name} of {of} {wrong[0]} is {values[wrong[0]]}")
         lengths = clamp_lengths(lengths, weights)  # also of the seams: an edge has no negative length
         pieces, reports = [], []
         for vertices, steps in zip(self.pieces.vertices, self.steps, strict=True):
@@ -213,8 +154,9 @@ class MultiScale(PickledWithoutCaches):
                     points, report = step.rebuilt(lengths, angles, weights, settings)
                     reports.append(report)
                 else:
-                    points = step.merged(made[-step.children :], lengths)
-                    del made[-step.children :]
+                    children = len(step.overlaps.sizes)
+                    points = step.merged(made[-children:], lengths)
+                    del made[-children:]
                 made.append(points)
             pieces.extend(made)
         return np.concatenate(pieces), reports

@@ -17,10 +17,10 @@ from scripts.paper_study.common.damage import apart, placement_noise
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import METHODS, Method
 from scripts.paper_study.common.pictures import Panel, gallery
-from scripts.paper_study.common.poses import Poses, between
-from scripts.paper_study.common.record import Json, Results, named, ratio_range
+from scripts.paper_study.common.poses import PAPER, Poses, between
+from scripts.paper_study.common.record import Json, Results, Say, named, ratio_range
 
-MESHES = ("lion", "cat", "horse", "elephant_gallop")
+MESHES = PAPER
 WEIGHTS = (0.25, 0.5, 0.75)
 TURN = np.radians(150) * np.array([2.0, -1.0, 2.0]) / 3
 """Rotation vector that turns the second pose."""
@@ -31,11 +31,11 @@ OTHERS = ("ARAP", "skin", "NRIC", "geodesic")
 BESIDE = ("MSGI", "DSO", "MixIT, whole joints", "MixIT, free", OURS)
 """Methods of the other pages."""
 
-GEODESIC_VERTICES = 6_000
+GEODESIC_VERTICES = 10_000
 """Largest number of vertices for geodesics, whose systems have nine times as many unknowns."""
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     methods = BASELINES | {name: METHODS[name] for name in BESIDE}
     if poses.topology.vertex_count > GEODESIC_VERTICES:
         methods.pop("geodesic")
@@ -44,9 +44,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     return {"title": poses.title, "methods": found, "placed": placed}
 
 
-def compared(
-    poses: Poses, methods: Mapping[str, Callable[[Poses, Index], Method]], picture: Path, say: Callable[[str], None]
-) -> Json:
+def compared(poses: Poses, methods: Mapping[str, Callable[[Poses, Index], Method]], picture: Path, say: Say) -> Json:
     """Blend by all methods; return errors, volumes, processor seconds, and how far blends move with the turn."""
     labels, rotation = poses.segmented(), rotvec_to_matrix(TURN)
     found: Json = {}
@@ -139,12 +137,12 @@ def verdict(results: Results) -> list[str]:
             continue
         pairs = [(m[OURS]["at"][f"{w:g}"], m[other]["at"][f"{w:g}"]) for m in known for w in WEIGHTS]
         of = {kind: [a[kind][0] / b[kind][0] for a, b in pairs] for kind in ("lengths", "degrees")}
-        ours, theirs = (max(abs(pair[k]["volume"]) for pair in pairs) for k in (0, 1))
+        own, others = (max(abs(pair[k]["volume"]) for pair in pairs) for k in (0, 1))
         times = [sum(m[other]["seconds"]) / sum(m[OURS]["seconds"]) for m in known]
         meshes = named(mesh for mesh, r in results.items() if other in r["methods"])
         lines.append(
             f"Errors at 99 % of *{OURS}* over those of *{other}* on {meshes}: lengths {ratio_range(of['lengths'])}, "
-            f"angles {ratio_range(of['degrees'])}; volumes are off by up to {ours:.1%} ({theirs:.1%}); *{other}* takes "
+            f"angles {ratio_range(of['degrees'])}; volumes are off by up to {own:.1%} ({others:.1%}); *{other}* takes "
             f"{ratio_range(times)} times the seconds for two poses and one blend."
         )
     return lines

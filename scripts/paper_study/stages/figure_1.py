@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from mixseq.choices import SpaceName
 from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.types import Float
-from scripts.paper_study.common.errors import error_table, errors
+from scripts.paper_study.common.errors import error_table, errors, folded
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
-from scripts.paper_study.common.poses import Poses, between
-from scripts.paper_study.common.record import Json, Results
+from scripts.paper_study.common.poses import PAPER, Poses, between
+from scripts.paper_study.common.record import Json, Results, Say
 
-MESHES = ("lion", "cat", "horse", "elephant_gallop")
+MESHES = PAPER
 
 SPACES: dict[str, SpaceName] = {"vertices, S_v": "vertex", "gradients, S_f": "gradient"}
 """Spaces that need no optimisation."""
@@ -22,16 +21,14 @@ SPACES: dict[str, SpaceName] = {"vertices, S_v": "vertex", "gradients, S_f": "gr
 OURS = "MixIT, S_m"
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     weights = between(0.5)
     blends: dict[str, Float] = {}
     for name, space in SPACES.items():
         blends[name] = PoseInterpolator.from_poses(poses.sequence, space, pose_ids=poses.frames).blend(weights)
     labels = poses.segmented()
-    for name in ("DSO", "MixIT"):
-        method = METHODS[name](poses, labels)
-        method.prepare()
-        blends[OURS if name == "MixIT" else "lengths and angles, S_e"] = method.at(weights).points
+    for name, space_name in (("DSO", "lengths and angles, S_e"), ("MixIT", OURS)):
+        blends[space_name] = METHODS[name](poses, labels).at(weights).points
     found = {name: errors(poses, weights, points).summary() for name, points in blends.items()}
     given = [Panel("first pose", poses.points[0]), Panel("second pose", poses.points[1])]
     shown = [Panel(f"{name}, w = 0.5", points) for name, points in blends.items()]
@@ -52,7 +49,10 @@ def page(results: Results) -> list[str]:
             f"![Blends in four shape spaces, {mesh}](figure-1-{mesh}.png)",
             error_table("space", result["methods"]),
         ]
-    return blocks
+    return [
+        *blocks,
+        folded({f"*{name}* on {mesh}": f for mesh, r in results.items() for name, f in r["methods"].items()}),
+    ]
 
 
 def verdict(results: Results) -> list[str]:

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from operator import itemgetter
 from pathlib import Path
 
-import numpy as np
-
-from mixseq.types import Float
-from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.errors import errors, text
+from scripts.paper_study.common.errors import error_table, errors, folded
 from scripts.paper_study.common.methods import Free, Strips, strips
-from scripts.paper_study.common.pictures import Panel, gallery, heat, held
-from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Poses, between
-from scripts.paper_study.common.record import Json, Results, ratio_range
+from scripts.paper_study.common.pictures import BRIGHTEST, Panel, gallery, held, length_errors
+from scripts.paper_study.common.poses import PAPER, Poses, between
+from scripts.paper_study.common.record import Json, Results, Say, ratio_range
 
-MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")
+MESHES = PAPER
 FEW = 3
-MOST = 0.3
-"""Length error that has the brightest colour."""
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     few, usual = poses.segmented(FEW), poses.segmented()
     methods = {
         f"strips, {FEW} parts": Strips(poses, strips(poses, few)),
@@ -42,40 +35,24 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
         }
         rows[0].append(Panel(name, poses.points[0], held(decomposition.part_of_face, method.rigid)))
         rows[1].append(Panel("w = 0.5", blend))
-        rows[2].append(Panel("length errors", blend, heat(poses, at_vertices(poses, blend), MOST)))
+        rows[2].append(Panel("length errors", blend, length_errors(poses, blend)))
     gallery(folder / f"figure-14-{poses.mesh}.png", poses, rows, poses.title)
     return {"title": poses.title, "methods": found}
-
-
-def at_vertices(poses: Poses, points: Float) -> Float:
-    """Return the largest error of the edges at every vertex ``(V,)``, half way."""
-    from mixseq.mesh.measures import edge_lengths
-
-    lengths, _ = poses.target(between(0.5))
-    edges = poses.topology.edges
-    strain = np.abs(edge_lengths(points, edges) / np.maximum(lengths, 1e-9 * poses.diagonal) - 1)
-    worst = np.zeros(len(points))
-    np.maximum.at(worst, edges, strain[:, None])
-    return worst
 
 
 def page(results: Results) -> list[str]:
     blocks = [
         f"Motion segmentations with {FEW} parts, which miss most joints, and with as many as are found. Below "
-        f"the blends at w = 0.5: errors of lengths, from violet (0) to yellow ({MOST:.0%} and more). The "
+        f"the blends at w = 0.5: errors of lengths, from violet (0) to yellow ({BRIGHTEST:.0%} and more). The "
         "paper shows the armadillo."
     ]
     for mesh, result in results.items():
-        rows = [
-            (name, str(f["parts"]), str(f["joints"]), text(f["lengths"]), text(f["degrees"]))
-            for name, f in result["methods"].items()
-        ]
         blocks += [
             f"## {mesh}: {result['title']}",
             f"![Segmentations and blends, {mesh}](figure-14-{mesh}.png)",
-            markdown_table(("", "p", "q", "lengths, 99 / 99.9 / 100 %", "degrees"), rows),
+            error_table("", result["methods"], {"p": itemgetter("parts"), "q": itemgetter("joints")}),
         ]
-    growth = [[], []]  # type: list[list[float]]
+    growth: list[list[float]] = [[], []]
     for result in results.values():
         few, usual, few_free, usual_free = (found["lengths"][1] for found in result["methods"].values())
         growth[0].append(few / usual)
@@ -84,10 +61,9 @@ def page(results: Results) -> list[str]:
         *blocks,
         f"With {FEW} parts, errors of lengths at 99.9 % are {ratio_range(growth[0])} times those with the found parts "
         "where only strips are joints: as in the paper, a segmentation that misses joints leads to artefacts. Where "
-        "all "
-        f"faces are joints that are wrong half-way, they are {ratio_range(growth[1])} times: a missed joint is "
-        "inside a "
-        "part, and found there.",
+        f"all faces are joints that are wrong half-way, they are {ratio_range(growth[1])} times: a missed joint is "
+        "inside a part, and found there.",
+        folded({f"*{name}* on {mesh}": f for mesh, r in results.items() for name, f in r["methods"].items()}),
     ]
 
 

@@ -11,15 +11,14 @@ from mixseq.pictures.scene import three_quarter_view
 from mixseq.spaces.edge import EdgeSettings
 from mixseq.types import Float, Index
 from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.damage import BEYOND, SIZE, Pushed, apart, noisy, pushed
-from scripts.paper_study.common.errors import errors, text
+from scripts.paper_study.common.damage import BEYOND, SIZE, apart, noisy, pushed
+from scripts.paper_study.common.errors import error_table, errors, text
 from scripts.paper_study.common.methods import METHODS, Edge, Method, Mixed, strips
-from scripts.paper_study.common.pictures import Panel, cut, gallery, heat
-from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Poses, between
-from scripts.paper_study.common.record import Json, Results, named, ratio_range
+from scripts.paper_study.common.pictures import Panel, gallery, heat, held
+from scripts.paper_study.common.poses import PAPER, Poses, between
+from scripts.paper_study.common.record import Json, Results, Say, named, ratio_range
 
-MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")
+MESHES = PAPER
 NOISE = 0.01
 SEEDS = (0, 1, 2)
 LARGE = 20_000
@@ -35,13 +34,12 @@ ALL_METHODS: dict[str, Callable[[Poses, Index], Method]] = {
 }
 SHOWN = ("MSGI", "DSO, from a pose", "MixIT, printed", "MixIT")
 COMPARED = ("MSGI", "DSO", "MixIT, printed", "MixIT, free", "MixIT")
-KINDS = ("noise", "local")
-HALF = between(0.5)
+HALF, AWAY = between(0.5), "away outside of the patch, rms / largest"
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     labels = poses.segmented()
-    clean = {name: half_way(make(poses, labels)) for name, make in ALL_METHODS.items()}
+    clean = {name: make(poses, labels).at(HALF).points for name, make in ALL_METHODS.items()}
     edge = float(poses.lengths.mean())
     noise: Json = {}
     seeds = SEEDS if poses.sequence.vertex_count <= LARGE else SEEDS[:1]
@@ -50,64 +48,43 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
         after, away = [], []
         for seed in seeds:
             other = noisy(poses, NOISE, seed)
-            blend = half_way(METHODS[name](other, labels))
+            blend = METHODS[name](other, labels).at(HALF).points
             after.append(errors(other, HALF, blend).at(0.999))
-            distances = apart(blend, clean[name]) / edge
-            away.append([float(np.sqrt(np.mean(distances**2))), float(distances.max())])
-        noise[name] = {
-            "before": before,
-            "after": np.mean(after, axis=0).tolist(),
-            "away": np.mean(away, axis=0).tolist(),
-        }
+            away.append(rms_and_largest(apart(blend, clean[name]) / edge))
+        means = {"after": np.mean(after, axis=0).tolist(), "away": np.mean(away, axis=0).tolist()}
+        noise[name] = {"before": before, **means}
         say(f"noise, {name}: {text(before)} to {text(noise[name]['after'])}, {text(noise[name]['away'])} edges away")
     local, rows = intersected(poses, labels, clean, say)
     gallery(folder / f"figure-16-{poses.mesh}.png", poses, rows, poses.title)
     return {"title": poses.title, "noise": noise, **local}
 
 
-def half_way(method: Method) -> Float:
-    """Return the blend half way."""
-    method.prepare()
-    return method.at(HALF).points
+def rms_and_largest(distances: Float) -> list[float]:
+    """Return the root mean square and the largest of distances ``(n,)``."""
+    return [float(np.sqrt(np.mean(distances**2))), float(distances.max())]
 
 
-def intersected(
-    poses: Poses, labels: Index, clean: dict[str, Float], say: Callable[[str], None]
-) -> tuple[Json, list[list[Panel]]]:
+def intersected(poses: Poses, labels: Index, clean: dict[str, Float], say: Say) -> tuple[Json, list[list[Panel]]]:
     """Push a patch through the surface, and compare with the undamaged blends outside of it."""
     decomposition = strips(poses, labels)
-    part_only = np.setdiff1d(
-        np.concatenate(decomposition.parts),
-        np.concatenate([joint.vertices for joint in decomposition.joints]),
-    )
-    damage: Pushed = pushed(poses, part_only, three_quarter_view(poses.points[0], poses.sequence.up_axis))
+    in_joint = np.concatenate([joint.vertices for joint in decomposition.joints])
+    part_only = np.setdiff1d(np.concatenate(decomposition.parts), in_joint)
+    damage = pushed(poses, part_only, three_quarter_view(poses.points[0], poses.sequence.up_axis))
     edge = float(poses.lengths.mean())
     outside = np.setdiff1d(np.arange(len(poses.points[0])), damage.vertices)
     found: Json = {}
-    close = damage.middle
-    bad = damage.poses
-    before, after = poses.points[1], bad.points[1]
-    rows: list[list[Panel]] = [
-        [
-            Panel("parts and joints", before, cut(decomposition)),
-            Panel("second pose", before, close=close),
-            Panel("with the patch pushed", after, close=close),
-        ],
-        [],
-        [],
-    ]
+    close, bad = damage.middle, damage.poses
+    whole = Panel(
+        "parts and joints", poses.points[1], held(decomposition.part_of_face, decomposition.joint_of_face < 0)
+    )
+    pair = (("second pose", poses.points[1]), ("with the patch pushed", bad.points[1]))
+    rows: list[list[Panel]] = [[whole, *(Panel(*each, close=close) for each in pair)], [], []]
     in_patch = np.isin(poses.sequence.faces, damage.vertices).all(axis=1)
     for name, make in ALL_METHODS.items():
         method = make(bad, labels)
-        blend = half_way(method)
+        blend = method.at(HALF).points
         distances = apart(blend, clean[name], outside)
-        found[name] = {
-            "away": [
-                float(np.sqrt(np.mean(distances[outside] ** 2))) / edge,
-                float(distances[outside].max()) / edge,
-            ],
-            **errors(bad, HALF, blend).summary(),
-        }
+        found[name] = {"away": rms_and_largest(distances[outside] / edge), **errors(bad, HALF, blend).summary()}
         if isinstance(method, Mixed):
             found[name]["joints"] = float(1 - method.rigid[in_patch].mean())
         say(f"self-intersection, {name}: {text(found[name]['away'])} edges away outside of the patch")
@@ -131,12 +108,11 @@ def page(results: Results) -> list[str]:
         rows = [
             (
                 name,
-                *(text([n["before"][0]]), text([n["after"][0]]), f"{n['after'][0] / n['before'][0]:.2f}"),
-                *(text([n["before"][1]]), text([n["after"][1]]), f"{n['after'][1] / n['before'][1]:.2f}"),
+                *(shown for pair in zip(n["before"], n["after"], strict=True) for shown in grown(*pair)),
                 text(n["away"]),
             )
             for name, n in result["noise"].items()
-        ]  # fmt: skip
+        ]
         columns = ("method", "lengths", "with noise", "ratio", "degrees", "with noise", "ratio", "away")
         blocks += [f"### {mesh}: {result['title']}", markdown_table(columns, rows)]
     blocks += [
@@ -149,21 +125,13 @@ def page(results: Results) -> list[str]:
         f"lengths and more). *DSO, volume* has the volume term that the paper names (weight {VOLUME:g}).",
     ]
     for mesh, result in results.items():
-        found = [(name, text(f["away"]), text(f["lengths"]), text(f["degrees"])) for name, f in result["local"].items()]
         blocks += [
             f"### {mesh}: {result['title']}",
             f"{result['moved']} vertices moved, the limb is {result['thickness']:.1f} mean edge lengths thick.",
             f"![A patch pushed through the surface, and blends, {mesh}](figure-16-{mesh}.png)",
-            markdown_table(
-                (
-                    "method",
-                    "away outside of the patch, rms / largest",
-                    "lengths, 99 / 99.9 / 100 %",
-                    "degrees",
-                ),
-                found,
-            ),
+            error_table("method", result["local"], {AWAY: lambda found: text(found["away"])}),
         ]
+    calm = {mesh: min((away(r, "noise", name), name) for name in METHODS)[1] for mesh, r in results.items()}
     return [
         *blocks,
         "## What it shows",
@@ -178,11 +146,7 @@ def page(results: Results) -> list[str]:
         f"{fewer(results, 'local', 'MixIT', 'MSGI')}; "
         f"*MixIT, free* less than DSO on {fewer(results, 'local', 'MixIT, free', 'DSO')}, less than MSGI on "
         f"{fewer(results, 'local', 'MixIT, free', 'MSGI')}. For *MixIT* the patch bends: its joints hold "
-        + ", ".join(
-            f"{r['local']['MixIT']['joints']:.0%} of the patch of {mesh}"
-            for mesh, r in results.items()
-            if "joints" in r["local"]["MixIT"]
-        )
+        + ", ".join(f"{r['local']['MixIT']['joints']:.0%} of the patch of {mesh}" for mesh, r in results.items())
         + ".\n- Noise: less than MSGI move "
         + "; ".join(
             f"*{name}* on {fewer(results, 'noise', name, 'MSGI')}"
@@ -190,23 +154,20 @@ def page(results: Results) -> list[str]:
         )
         + ". Least of all methods moves "
         + "; ".join(
-            f"*{name}* on {named(meshes)}"
-            for name in METHODS
-            if (meshes := [m for m, r in results.items() if calmest(r, "noise") == name])
+            f"*{name}* on {named(m for m in calm if calm[m] == name)}" for name in METHODS if name in calm.values()
         )
         + ".",
     ]
 
 
+def grown(before: float, after: float) -> tuple[str, str, str]:
+    """Return an error without and with noise, and their ratio."""
+    return text([before]), text([after]), f"{after / before:.2f}"
+
+
 def away(result: Json, kind: str, name: str) -> float:
     """Return how far a blend moves, rms in edges: by noise, or by a patch ("local")."""
     return float(result[kind][name]["away"][0])
-
-
-def calmest(result: Json, kind: str) -> str:
-    """Return the method that moves least."""
-    names: list[str] = list(result[kind])
-    return min(names, key=lambda name: away(result, kind, name))
 
 
 def fewer(results: Results, kind: str, mine: str, other: str) -> str:
@@ -220,13 +181,13 @@ def least(results: Results, name: str) -> str:
 
 
 def verdict(results: Results) -> list[str]:
-    noise, local = ("; ".join(f"{mesh} {moves(result, kind)}" for mesh, result in results.items()) for kind in KINDS)
+    noise, local = (
+        "; ".join(
+            f"{m} " + ", ".join(f"{name} {away(r, kind, name):.2g}" for name in COMPARED) for m, r in results.items()
+        )
+        for kind in ("noise", "local")
+    )
     return [
         f"Noise of {NOISE:.0%} of an edge moves the blend, in edge lengths (rms): {noise}.",
         f"A patch that is pushed through the surface moves the rest, in edge lengths (rms): {local}.",
     ]
-
-
-def moves(result: Json, kind: str) -> str:
-    """Say how far methods move: ``MSGI 0.1, DSO 0.2``."""
-    return ", ".join(f"{name} {away(result, kind, name):.2g}" for name in COMPARED)

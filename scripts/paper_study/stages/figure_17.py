@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +9,11 @@ import numpy as np
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.shells.fitting import ShellSettings
 from mixseq.types import Float
-from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.errors import errors, text
+from scripts.paper_study.common.errors import error_table, errors
 from scripts.paper_study.common.methods import METHODS
-from scripts.paper_study.common.pictures import Panel, gallery, heat
+from scripts.paper_study.common.pictures import BRIGHTEST, Panel, gallery, length_errors
 from scripts.paper_study.common.poses import Poses, between
-from scripts.paper_study.common.record import Json, Results
-from scripts.paper_study.stages.figure_14 import MOST, at_vertices
+from scripts.paper_study.common.record import Json, Results, Say
 
 MESHES = ("cat",)
 FAR = (3, 5)
@@ -25,24 +22,23 @@ FAR = (3, 5)
 OTHER = (4, 6)
 """A pair where the linear start does worse."""
 
+COLUMNS = {"energy": lambda found: f"{found['energy']:.3g}", "iterations": lambda found: str(found["iterations"])}
 SHOWN = ("DSO, from a pose", "DSO", "MixIT, printed", "MixIT")
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     far, rows = blends_of(poses.only(*FAR), say)
     gallery(folder / f"figure-17-{poses.mesh}.png", poses.only(*FAR), rows, far["title"])
     return {"far": far, "other": blends_of(poses.only(*OTHER), say)[0]}
 
 
-def blends_of(far: Poses, say: Callable[[str], None]) -> tuple[Json, list[list[Panel]]]:
+def blends_of(far: Poses, say: Say) -> tuple[Json, list[list[Panel]]]:
     """Blend two poses by all methods; also return the panels of a picture."""
     labels = far.segmented()
     found: Json = {}
     rows = [[Panel("first pose", far.points[0]), Panel("second pose", far.points[1])], [], []]
     for name, make in METHODS.items():
-        method = make(far, labels)
-        method.prepare()
-        blend = method.at(between(0.5))
+        blend = make(far, labels).at(between(0.5))
         found[name] = {
             **errors(far, between(0.5), blend.points).summary(),
             "energy": energy(far, blend.points),
@@ -51,7 +47,7 @@ def blends_of(far: Poses, say: Callable[[str], None]) -> tuple[Json, list[list[P
         say(f"{far.title}, {name}: energy {found[name]['energy']:.3g}")
         if name in SHOWN:
             rows[1].append(Panel(f"{name}, w = 0.5", blend.points))
-            rows[2].append(Panel("length errors", blend.points, heat(far, at_vertices(far, blend.points), MOST)))
+            rows[2].append(Panel("length errors", blend.points, length_errors(far, blend.points)))
     return {"title": far.title, "methods": found}, rows
 
 
@@ -67,18 +63,18 @@ def energy(poses: Poses, points: Float) -> float:
 def page(results: Results) -> list[str]:
     blocks = [
         "Half way between two poses. The energy is what discrete shells lower, here of the whole mesh for every "
-        f"method. In the lowest row errors of lengths, from violet (0) to yellow ({MOST:.0%} and more)."
+        f"method. In the lowest row errors of lengths, from violet (0) to yellow ({BRIGHTEST:.0%} and more)."
     ]
     for mesh, result in results.items():
         blocks += [
             f"## {result['far']['title']}",
             "Chosen for it: poses between which *DSO, from a pose* is trapped. The paper does not name its poses.",
             f"![Two far poses and blends, {mesh}](figure-17-{mesh}.png)",
-            _table(result["far"]),
+            error_table("method", result["far"]["methods"], COLUMNS),
             "The paper shows one picture of DSO that got trapped, and of MixIT that did not. "
             + _ordered(result["far"]),
             f"## {result['other']['title']}",
-            _table(result["other"]),
+            error_table("method", result["other"]["methods"], COLUMNS),
             "The linear start is no guarantee. " + _ordered(result["other"]),
         ]
     return blocks
@@ -88,14 +84,6 @@ def _ordered(result: Json) -> str:
     """Say which method ends with how much energy."""
     found = sorted(result["methods"].items(), key=lambda each: each[1]["energy"])
     return "Energies, from the lowest: " + ", ".join(f"*{name}* {f['energy']:.3g}" for name, f in found) + "."
-
-
-def _table(result: Json) -> str:
-    rows = [
-        (name, f"{f['energy']:.3g}", str(f["iterations"]), text(f["lengths"]), text(f["degrees"]))
-        for name, f in result["methods"].items()
-    ]
-    return markdown_table(("method", "energy", "iterations", "lengths, 99 / 99.9 / 100 %", "degrees"), rows)
 
 
 def verdict(results: Results) -> list[str]:

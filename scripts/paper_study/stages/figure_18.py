@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,10 @@ from mixseq.pictures.scene import shared_limits, three_quarter_view, to_y_up
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, Index
 from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.errors import errors, text
-from scripts.paper_study.common.pictures import CLOSE, DPI, Panel, gallery, heat
+from scripts.paper_study.common.errors import error_table, errors, text
+from scripts.paper_study.common.pictures import BRIGHTEST, CLOSE, DPI, Panel, gallery, length_errors
 from scripts.paper_study.common.poses import Poses, between
-from scripts.paper_study.common.record import Json, Results
-from scripts.paper_study.stages.figure_14 import MOST, at_vertices
+from scripts.paper_study.common.record import Json, Results, Say
 
 MESHES = ("lion", "cat", "horse", "horse_gallop")
 MOVING = ("horse_gallop",)
@@ -37,11 +35,11 @@ SPACES: dict[str, dict[str, Any]] = {
 }
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     return (_moving if poses.mesh in MOVING else _pair)(poses, folder, say)
 
 
-def _pair(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def _pair(poses: Poses, folder: Path, say: Say) -> Json:
     """Take two poses for a sequence, and look at what is half way."""
     header = poses.sequence.header.with_times(np.array([0.0, 1.0]))
     given = MeshSequence.from_header(header, poses.points)
@@ -56,14 +54,14 @@ def _pair(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     vertex = int(edges[np.abs(edge_lengths(shapes["LRI"], edges) - lengths).argmax(), 0])
     for name, points in shapes.items():
         found[name] = errors(poses, between(0.5), points).summary()
-        row.append(Panel(name, points, heat(poses, at_vertices(poses, points), MOST)))
+        row.append(Panel(name, points, length_errors(poses, points)))
         close.append(Panel("close-up", points, close=vertex))
         say(f"{name}: {text(found[name]['lengths'])}")
     gallery(folder / f"figure-18-{poses.mesh}.png", poses, [row, close], f"{poses.title}, half way")
     return {"title": poses.title, "spaces": found}
 
 
-def _moving(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def _moving(poses: Poses, folder: Path, say: Say) -> Json:
     sequence = poses.sequence
     keys, new, models, rebuilt = resampled(sequence, STEP)
     truth = sequence.points[new].astype(np.float64)
@@ -114,13 +112,7 @@ def strains(poses: Poses, points: Float, truth: Float) -> Float:
 
 
 def draw(
-    target: Path,
-    poses: Poses,
-    models: dict[str, Any],
-    shapes: dict[str, Float],
-    truth: Float,
-    frame: int,
-    vertex: int,
+    target: Path, poses: Poses, models: dict[str, Any], shapes: dict[str, Float], truth: Float, frame: int, vertex: int
 ) -> None:
     """Draw a row for every space: the embedding, a close-up of it, the frame in between and a close-up of that."""
     sequence = poses.sequence
@@ -160,27 +152,25 @@ def close_up(ax: Any, model: Any, time: float) -> None:
 def page(results: Results) -> list[str]:
     blocks = []
     for mesh, result in results.items():
-        blocks.append(f"## {mesh}: {result['title']}" if mesh not in MOVING else f"## {mesh}")
         picture = f"![Frames in between by LRI and S_m, {mesh}](figure-18-{mesh}.png)"
-        spaces = result["spaces"].items()
         if mesh not in MOVING:
             blocks += [
-                markdown_table(
-                    ("space", "lengths, 99 / 99.9 / 100 %", "degrees"),
-                    [(name, text(f["lengths"]), text(f["degrees"])) for name, f in spaces],
-                ),
+                f"## {mesh}: {result['title']}",
+                error_table("space", result["spaces"]),
                 "Two poses as a sequence of two frames, modelled as `fit` does by default, with parts from these two; "
                 "the frame half way; errors against the mean lengths "
-                f"and angles. In the upper row length errors, from violet (0) to yellow ({MOST:.0%} and "
+                f"and angles. In the upper row length errors, from violet (0) to yellow ({BRIGHTEST:.0%} and "
                 "more); below a close-up of where an edge is worst with LRI.",
                 picture,
             ]
             continue
         rows = [
-            (name, f"{f['dim']:,}", f"{f['rms']:.2g}", f"{f['largest']:.2g}", text(f["lengths"])) for name, f in spaces
+            (name, f"{f['dim']:,}", f"{f['rms']:.2g}", f"{f['largest']:.2g}", text(f["lengths"]))
+            for name, f in result["spaces"].items()
         ]
         columns = ("space", "dimension", "rms", "largest", "lengths against the original, 99 / 99.9 / 100 %")
         blocks += [
+            f"## {mesh}",
             f"Models of one frame in {STEP} ({result['keys']} keys), against the {result['frames']} frames between "
             "them; distances in diagonals.",
             markdown_table(columns, rows),
@@ -192,10 +182,14 @@ def page(results: Results) -> list[str]:
         f"one frame in {step}: " + ", ".join(f"{name} {value:.2g}" for name, value in found.items())
         for result in (result for mesh, result in results.items() if mesh in MOVING)
         for step, found in (
-            (STEP, {name: f["rms"] for name, f in result["spaces"].items()}),
-            (OTHER_STEP, result.get("other step", {})),
+            (STEP, {n: f["rms"] for n, f in result["spaces"].items()}),
+            (OTHER_STEP, result["other step"]),
         )
-        if found
+    ]
+    far = [
+        f"{mesh} "
+        + ", ".join(f"{name} {of[name]['lengths'][1] / of['LRI']['lengths'][1]:.2g}" for name in list(of)[1:])
+        for mesh, of in ((mesh, result["spaces"]) for mesh, result in results.items() if mesh not in MOVING)
     ]
     return [
         "The paper shows a character's eye, from a sequence that is not among our data, where LRI leaves "
@@ -206,15 +200,7 @@ def page(results: Results) -> list[str]:
         "not reproduce the paper's finding there. Distances, rms: "
         + "; ".join(gallop)
         + ". The pairs of poses were added after that, to see where LRI fails.\n"
-        "- Between far poses, errors of lengths at 99.9 % over those of LRI: "
-        + "; ".join(
-            f"{mesh} "
-            + ", ".join(f"{name} {f['lengths'][1] / r['spaces']['LRI']['lengths'][1]:.2g}" for name, f in found)
-            for mesh, r in results.items()
-            if mesh not in MOVING
-            for found in [list(r["spaces"].items())[1:]]
-        )
-        + ".",
+        "- Between far poses, errors of lengths at 99.9 % over those of LRI: " + "; ".join(far) + ".",
     ]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,25 +9,22 @@ import numpy as np
 from scripts.paper_study.common.errors import error_table, errors, text
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
-from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Poses
-from scripts.paper_study.common.record import Json, Results
+from scripts.paper_study.common.poses import ALL, PAPER, Poses
+from scripts.paper_study.common.record import Json, Results, Say
 
-MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")
+MESHES = PAPER
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     six = poses.only(*ALL[poses.mesh].six)
     weights = np.full(6, 1 / 6)
     labels = six.segmented()
     found: Json = {}
     blends = []
     for name, make in METHODS.items():
-        method = make(six, labels)
-        method.prepare()
-        blend = method.at(weights)
-        found[name] = errors(six, weights, blend.points).summary()
-        blends.append(Panel(name, blend.points))
+        blend = make(six, labels).at(weights).points
+        found[name] = errors(six, weights, blend).summary()
+        blends.append(Panel(name, blend))
         say(f"{name}: {text(found[name]['lengths'])}")
     given = [Panel(f"frame {frame}", x) for frame, x in zip(six.frames, six.points, strict=True)]
     rows = [given[:3], given[3:], blends[:4], blends[4:]]
@@ -60,9 +56,8 @@ def verdict(results: Results) -> list[str]:
         ]
         lines.append(f"{kind} at {('99 %', '99.9 %')[share]} {', '.join(found)}")
     readings = [
-        f"{mesh} {found['MixIT, whole joints']['lengths'][1] / found['MixIT, printed']['lengths'][1]:.2f}"
-        for mesh, found in ((mesh, result["methods"]) for mesh, result in results.items())
-        if "MixIT, whole joints" in found
+        f"{mesh} {r['methods']['MixIT, whole joints']['lengths'][1] / r['methods']['MixIT, printed']['lengths'][1]:.2f}"
+        for mesh, r in results.items()
     ]
     return [
         f"Errors of a blend of six poses by MixIT (by DSO): {'; '.join(lines)}.",

@@ -1,7 +1,7 @@
 """Random starts: whether it matters where the search for a mesh starts, in S_e and in S_m.
 
-The paper (Section 3.3) has not observed local minima in S_m. Here starts are shaken: every vertex is moved by
-Gaussian noise. What every method should find, the blended lengths and angles, stays what it is.
+The paper (Section 3.3) has not observed local minima in S_m. Here every vertex of a start is moved by Gaussian noise;
+the blended lengths and angles that methods search for stay the same.
 """
 
 from __future__ import annotations
@@ -11,31 +11,30 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.mesh.measures import dihedral_angles, edge_lengths
-from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
-from mixseq.spaces.edge import DiscreteShell, EdgeSettings
+from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell, linear_initialisation
+from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.mixed.construction import MAX_STEPS, MIN_STEPS
 from mixseq.types import Float, Index
 from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.methods import Anchored, Edge, Printed, strips
+from scripts.paper_study.common.methods import Anchored, FromPose, Printed, strips
 from scripts.paper_study.common.poses import Poses, between
-from scripts.paper_study.common.record import Json, Results, named, ratio_range
+from scripts.paper_study.common.record import Json, Results, Say, named, ratio_range
 
 MESHES = ("lion", "cat", "horse")
 NOISE = (0.05, 0.15, 0.5)
 """Standard deviations of the noise, in mean lengths of edges."""
 
 STARTS = 5
-"""So many starts for each."""
+"""Number of starts by noise and method."""
 
 SAME = 0.01
-"""Energies that differ by less than this share are the same."""
+"""Relative difference below which energies are the same."""
 
 Search = Callable[[float, np.random.Generator], float]
-"""Returns the energy that is found from a start with so much noise."""
+"""Returns the energy that is found from a start with noise of a size in edges."""
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     labels = poses.segmented()
     searches = {
         "DSO, from a pose": whole(poses, from_pose=True),
@@ -59,18 +58,11 @@ def shaken(x: Float, edge: float, size: float, rng: np.random.Generator) -> Floa
 
 
 def whole(poses: Poses, from_pose: bool) -> Search:
-    """Gauss-Newton on the whole mesh; without noise from the first pose, or from the linear start."""
-    edge = Edge(poses, EdgeSettings("dso"))
-    space, length = edge.space, float(poses.lengths.mean()) / poses.diagonal
-    shell = space.discrete_shell
-    (shape,), _, _ = space.split((between(0.5) @ edge.vectors)[None])
-    wanted = space.targets(shape)
-    (piece, *_) = (each for each in shell.shell_pieces if each is not None)
-    problem = shell.problem(0, piece, wanted, space.shell)
-    start = poses.points[0][shell.pieces.vertices[0]] / space.scale
+    """Return the search by Gauss-Newton on the whole mesh, from the first pose or from the linear start."""
+    method, length = FromPose(poses, EdgeSettings("dso")), float(poses.lengths.mean()) / poses.diagonal
+    problem, start = method.problem(between(0.5))
     if not from_pose:
-        linear = DiscreteShell(shell.topology, shell.pieces).fit(wanted, ShellSettings(iterations=0))[0]
-        start = linear[piece.rows]
+        start = linear_initialisation(problem.patch, problem.lengths, problem.angles, np.zeros_like(start))
 
     def search(size: float, rng: np.random.Generator) -> float:
         return fit_shell(problem, shaken(start, length, size, rng), ShellSettings())[1].energy
@@ -79,7 +71,7 @@ def whole(poses: Poses, from_pose: bool) -> Search:
 
 
 def joints(poses: Poses, labels: Index) -> Search:
-    """Gauss-Newton on every joint by itself, from the first pose: the sum of their energies."""
+    """Return the search by Gauss-Newton on every joint by itself, from the first pose: their energies are summed."""
     method = Printed(poses, strips(poses, labels))
     length, frame = float(poses.lengths.mean()) / poses.diagonal, method.space.frame(between(0.5))
     problems = []
@@ -90,26 +82,24 @@ def joints(poses: Poses, labels: Index) -> Search:
         problems.append((problem, poses.points[0][joint.vertices] / poses.diagonal))
 
     def search(size: float, rng: np.random.Generator) -> float:
-        return sum(
-            fit_shell(problem, shaken(start, length, size, rng), ShellSettings())[1].energy
-            for problem, start in problems
-        )
+        starts = [(problem, shaken(start, length, size, rng)) for problem, start in problems]
+        return sum(fit_shell(*start, ShellSettings())[1].energy for start in starts)
 
     return search
 
 
 def relaxed(poses: Poses, labels: Index) -> Search:
-    """Frames and steps of the whole mesh, from where vertices are posed."""
+    """Return the search by frames and steps of the whole mesh, as the product does, from posed vertices."""
     method = Anchored(poses, strips(poses, labels))
     space, length = method.space, float(poses.lengths.mean()) / poses.diagonal
     vector = (between(0.5) @ method.vectors)[None]
     joints, shell, steps = space.joint_projection, space.joint_projection.shell, space.projection.steps
     blocks, x = space.split(vector), space.skin(vector)[0]
-    wanted = edge_lengths(x, poses.topology.edges), dihedral_angles(x, poses.topology.hinges)
-    wanted[0][space.edge_ids], wanted[1][space.hinge_ids] = blocks.lengths[0], blocks.angles[0]
+    lengths, angles = blocks.lengths[0], blocks.angles[0]
+    wanted = joints.mesh_targets(x, lengths, angles)
 
     def search(size: float, rng: np.random.Generator) -> float:
-        start = joints.project(shaken(x, length, size, rng), blocks.lengths[0], blocks.angles[0], 1.0)
+        start = joints.project(shaken(x, length, size, rng), lengths, angles, space.projection.share)
         return 2.0 * shell.energy(shell.relax(start, *wanted, steps).points, *wanted)
 
     return search
@@ -124,35 +114,40 @@ def spread(energies: list[float]) -> str:
 def page(results: Results) -> list[str]:
     blocks = [
         "Energies half-way that are found from starts whose vertices are moved by Gaussian noise, with a standard "
-        f"deviation of so many mean edges; {STARTS} starts each. *DSO*: Gauss-Newton on the whole mesh. *MixIT, "
+        f"deviation in mean edges; {STARTS} starts each. *DSO*: Gauss-Newton on the whole mesh. *MixIT, "
         "printed*: on every joint by itself, from the joint of the first pose, summed. *MixIT*: two rounds of "
         f"frames and {MIN_STEPS} to {MAX_STEPS} steps, so its energies are not those of a minimum, and it does not "
-        "weigh angles as the "
-        "others do: energies are to be compared along a row."
+        "weigh angles as the others do: energies are to be compared along a row."
     ]
     for mesh, result in results.items():
         rows = [(name, *(spread(energies) for energies in found.values())) for name, found in result["methods"].items()]
         heads = ("method", "no noise", *(f"{size:g} edges" for size in NOISE))
         blocks += [f"## {mesh}: {result['title']}", markdown_table(heads, rows)]
-    growth = [
+    grown = growth(results)
+    ranges = [
         f"*{name}* "
-        + ", ".join(
-            ratio_range(max(r["methods"][name][f"{size:g}"]) / r["methods"][name]["0"][0] for r in results.values())
-            + f" with {size:g} edges"
-            for size in NOISE
-        )
-        for name in next(iter(results.values()))["methods"]
+        + ", ".join(f"{ratio_range(of[k] for of in found.values())} with {NOISE[k]:g} edges" for k in range(3))
+        for name, found in grown.items()
     ]
     lower = [
-        f"*{name}* on {named(mesh for mesh, r in results.items() if found_lower(r['methods'][name]))}"
-        for name in next(iter(results.values()))["methods"]
+        f"*{name}* on {named(mesh for mesh, r in results.items() if found_lower(r['methods'][name]))}" for name in grown
     ]
     return [
         *blocks,
-        "The largest energy of all starts, over that without noise: " + "; ".join(growth) + ".",
-        "The paper has not observed local minima in S_m, and does not tell of other starts. Here some start with "
+        "The largest energy of all starts, over that without noise: " + "; ".join(ranges) + ".",
+        "The paper has not observed local minima in S_m, and does not mention other starts. Here some start with "
         "noise finds a lower energy than the start without: " + "; ".join(lower) + ".",
     ]
+
+
+def growth(results: Results) -> dict[str, dict[str, list[float]]]:
+    """Return the largest energy by noise over that without, by method and mesh."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for mesh, result in results.items():
+        for name, energies in result["methods"].items():
+            of = [max(energies[f"{size:g}"]) / energies["0"][0] for size in NOISE]
+            found.setdefault(name, {})[mesh] = of
+    return found
 
 
 def found_lower(energies: Json) -> bool:
@@ -162,13 +157,10 @@ def found_lower(energies: Json) -> bool:
 
 
 def verdict(results: Results) -> list[str]:
-    lines = []
-    for name in next(iter(results.values()))["methods"]:
-        worst = [
-            f"{mesh} " + " / ".join(f"{max(found[f'{size:g}']) / found['0'][0]:.2f}" for size in NOISE)
-            for mesh, result in results.items()
-            for found in [result["methods"][name]]
-        ]
-        lines.append(f"{name}: {', '.join(worst)}")
-    told = " / ".join(f"{size:g}" for size in NOISE)
-    return [f"Largest energy from starts with noise of {told} edges, over that without: {'; '.join(lines)}."]
+    lines = [
+        f"{name}: "
+        + ", ".join(f"{mesh} " + " / ".join(f"{ratio:.2f}" for ratio in each) for mesh, each in found.items())
+        for name, found in growth(results).items()
+    ]
+    sizes = " / ".join(f"{size:g}" for size in NOISE)
+    return [f"Largest energy from starts with noise of {sizes} edges, over that without: {'; '.join(lines)}."]

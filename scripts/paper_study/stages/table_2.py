@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import mixseq
@@ -10,17 +9,16 @@ from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.methods import METHODS, Anchored, Edge, strips
-from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Poses
+from scripts.paper_study.common.poses import ALL, PAPER, Poses
 from scripts.paper_study.common.printed import TABLE_2, edge_dimension
-from scripts.paper_study.common.record import Json, Results
+from scripts.paper_study.common.record import Json, Results, Say
 
-MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")
+MESHES = PAPER
 STRIPS, DEFAULT = "the paper's strips", "default of `fit`"
 MIXED = (STRIPS, "MixIT, free", "MixIT", DEFAULT)
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     edges, vertices = len(poses.topology.edges), poses.sequence.vertex_count
     labels = poses.segmented()
     edge = METHODS["DSO"](poses, labels)
@@ -50,10 +48,8 @@ def page(results: Results) -> list[str]:
     edge, mixed = [], []
     for mesh, r in results.items():
         printed = TABLE_2[ALL[mesh].printed]
-        edge.append(
-            (mesh, f"{r['vertices']:,}", f"{r['edges']:,}", *(f"{n:,}" for n in (
-                printed.edge, r["printed way"], r["defined"], r["stored"])))
-        )  # fmt: skip
+        counts = (r["vertices"], r["edges"], printed.edge, r["printed way"], r["defined"], r["stored"])
+        edge.append((mesh, *(f"{n:,}" for n in counts)))
         mixed.append((f"**{mesh}**", "the paper", "", "", f"{printed.mixed:,}", "", f"{printed.ratio:.1f}",
                       f"{r['defined'] / printed.mixed:.1f}", ""))  # fmt: skip
         for name in MIXED:
@@ -74,15 +70,8 @@ def page(results: Results) -> list[str]:
         "## S_m",
         markdown_table(
             (
-                "mesh",
-                "which",
-                "p",
-                "q",
-                "defined: 2 sum E_k + 3 sum V_i + 6",
-                "stored by us",
-                "S_e / S_m, printed way of S_e",
-                "both as defined",
-                "both as stored",
+                *("mesh", "which", "p", "q", "defined: 2 sum E_k + 3 sum V_i + 6", "stored by us"),
+                *("S_e / S_m, printed way of S_e", "both as defined", "both as stored"),
             ),
             mixed,
         ),

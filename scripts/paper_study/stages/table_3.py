@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
+from scripts.paper_study.common.errors import folded
 from scripts.paper_study.common.methods import Strips, strips
-from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Poses, between
+from scripts.paper_study.common.poses import ALL, PAPER, Poses, between
 from scripts.paper_study.common.printed import TABLE_1, TABLE_2, TABLE_3, Variant
-from scripts.paper_study.common.record import Json, Results, ratio_range
-from scripts.paper_study.common.variants import ours, row_of, table, theirs
+from scripts.paper_study.common.record import Json, Results, Say, ratio_range
+from scripts.paper_study.common.variants import measured_row, printed_row, row_of, table
 
-MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")
+MESHES = PAPER
 WIDTHS = (3, 5, 9)
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     labels = poses.segmented()
     Strips(poses, strips(poses, labels, 1)).at(between(0.5))  # compiles
     return {str(width): row_of(Strips(poses, strips(poses, labels, width, full=True))) for width in WIDTHS}
@@ -33,8 +32,8 @@ def page(results: Results) -> list[str]:
                 steps = (one.align, one.init, one.interpolation, one.stitching, one.total)
                 printed = Variant(*steps, TABLE_2[name].mixed)
             if printed:
-                rows.append(theirs(mesh, f"width {width}", "", "", printed))
-            rows.append(ours(mesh, f"width {width}", result[str(width)]))
+                rows.append(printed_row(mesh, f"width {width}", "", "", printed))
+            rows.append(measured_row(mesh, f"width {width}", result[str(width)]))
     return [
         "*MixIT, free* with strips as joints: times in milliseconds and errors at w = 0.5, with joints of full width "
         "around every boundary. (By default a joint is only as wide as it bends, and the width is a limit.)",
@@ -45,7 +44,8 @@ def page(results: Results) -> list[str]:
         "width, so where parts are small joints stop growing.\n"
         "- The paper finds the errors insensitive to the width (its Figure 13). Ours at 99.9 % "
         f"with width 9 are {ratio_range(r['9']['lengths'][1] / r['3']['lengths'][1] for r in results.values())} of "
-        "those with width 3, in lengths.",
+        "those with width 3, in lengths.\n"
+        "- " + folded({f"width {w} on {mesh}": r[str(w)] for mesh, r in results.items() for w in WIDTHS}),
     ]
 
 

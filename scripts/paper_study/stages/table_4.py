@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
+from scripts.paper_study.common.errors import folded
 from scripts.paper_study.common.methods import Strips, strips
-from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Poses, between
+from scripts.paper_study.common.poses import ALL, PAPER, Poses, between
 from scripts.paper_study.common.printed import TABLE_4
-from scripts.paper_study.common.record import Json, Results, ratio_range
-from scripts.paper_study.common.variants import ours, row_of, table, theirs
+from scripts.paper_study.common.record import Json, Results, Say, ratio_range
+from scripts.paper_study.common.variants import measured_row, printed_row, row_of, table
 
-MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")
+MESHES = PAPER
 PARTS = {"lion": (7, 30), "cat": (7, 30), "horse": (7, 30), "elephant_gallop": (7, 18)}
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     result: Json = {}
     for parts in PARTS[poses.mesh]:
         method = Strips(poses, strips(poses, poses.segmented(parts)))
@@ -31,8 +30,8 @@ def page(results: Results) -> list[str]:
         for parts in PARTS[mesh]:
             for (name, p, q), printed in TABLE_4.items():
                 if name == ALL[mesh].printed and p == parts:
-                    rows.append(theirs(mesh, f"{p} parts", str(p), str(q), printed))
-            rows.append(ours(mesh, f"{parts} parts", result[str(parts)]))
+                    rows.append(printed_row(mesh, f"{p} parts", str(p), str(q), printed))
+            rows.append(measured_row(mesh, f"{parts} parts", result[str(parts)]))
     gains = [
         many["lengths"][1] / few["lengths"][1]
         for mesh, result in results.items()
@@ -45,7 +44,8 @@ def page(results: Results) -> list[str]:
         "## Differences",
         "- As in the paper, joints that touch are one, so there are fewer joints than parts.\n"
         "- The paper gives times only. Errors show what they pay for: with few parts more of what bends is taken for "
-        f"rigid. With many, errors of lengths at 99.9 % are {ratio_range(gains)} of those with few.",
+        f"rigid. With many, errors of lengths at 99.9 % are {ratio_range(gains)} of those with few.\n"
+        "- " + folded({f"{p} parts on {mesh}": r[str(p)] for mesh, r in results.items() for p in PARTS[mesh]}),
     ]
 
 

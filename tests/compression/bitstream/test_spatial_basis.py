@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -144,20 +146,21 @@ def test_labels_of_triangles_come_back(shape: Mesh) -> None:
     faces = np.asarray(shape[1])
     for count in (1, 2, 7):
         labels = np.arange(len(faces)) * count // len(faces)
-        data = encode_face_labels(labels, faces)
-        np.testing.assert_array_equal(decode_face_labels(data, count, faces), labels)
-        with pytest.raises(FormatError):
-            decode_face_labels(data, count + 1, faces)
+        coded = encode_face_labels(labels, faces)
+        assert coded.count == count
+        np.testing.assert_array_equal(decode_face_labels(coded, faces), labels)
+        with pytest.raises(FormatError, match=f"{count + 1} parts are expected"):
+            decode_face_labels(replace(coded, count=count + 1), faces)
 
 
 def test_labels_of_triangles_at_an_edge_of_three() -> None:
     faces = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4], [2, 1, 5]])
     labels = np.array([0, 1, 2, 1])
-    np.testing.assert_array_equal(decode_face_labels(encode_face_labels(labels, faces), 3, faces), labels)
+    np.testing.assert_array_equal(decode_face_labels(encode_face_labels(labels, faces), faces), labels)
 
 
 def test_labels_of_triangles_are_the_same_bytes_for_ever() -> None:
     faces = np.asarray(torus(12, 9)[1])
     labels = np.arange(len(faces)) * 5 // len(faces)
     expected = "fcf1ae7f4c6de9d11e78238316e551d55c7796f5c593cac53117e6ae9de144c9357d"
-    assert encode_face_labels(labels, faces).hex() == expected
+    assert encode_face_labels(labels, faces).data.hex() == expected

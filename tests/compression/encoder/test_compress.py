@@ -26,7 +26,7 @@ from mixseq.compression.bitstream import signal_coder, spatial_basis
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
 from mixseq.compression.bitstream.signal_graph import mesh_graph
-from mixseq.compression.bitstream.spatial_basis import encode_face_labels, read_labels, split_parts, write_labels
+from mixseq.compression.bitstream.spatial_basis import read_labels, split_parts, write_labels
 from mixseq.compression.encoder import compress as compressing
 from mixseq.compression.encoder import parts, trial
 from mixseq.compression.encoder.parts import initial_parts, merge_parts
@@ -45,7 +45,7 @@ compress = partial(compressing.compress, inbetweens=False)
 
 
 def size_of(coded: CompressedSequence) -> int:
-    labels = 0 if coded.parts is None else len(encode_face_labels(coded.parts, coded.header.faces))
+    labels = 0 if coded.labels is None else len(coded.labels.data)
     return labels + sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
 
 

@@ -60,7 +60,8 @@ def with_parts(coded: CompressedSequence) -> CompressedSequence:
     """Label triangles by three bands along the longest axis of the first frame."""
     points = decode(coded).sample(frames=[0]).points[0][coded.header.faces].mean(axis=1)
     heights = points[:, np.ptp(points, axis=0).argmax()]
-    return replace(coded, parts=np.searchsorted(np.quantile(heights, [0.3, 0.7]), heights))
+    bands = np.searchsorted(np.quantile(heights, [0.3, 0.7]), heights)
+    return replace(coded, labels=encode_face_labels(bands, coded.header.faces))
 
 
 def bending_tube() -> MeshSequence:
@@ -191,7 +192,7 @@ def test_a_model_that_does_not_fit_is_told(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_size_is_kept() -> None:
     sequence = bending_tube()
     coded = compress(sequence, size=600)
-    labels = 0 if coded.parts is None else len(encode_face_labels(coded.parts, coded.header.faces))
+    labels = 0 if coded.labels is None else len(coded.labels.data)
     assert labels + signal_size(coded) + sum(len(chunk.inbetweens) for chunk in coded.chunks) <= 600
 
 
@@ -255,7 +256,7 @@ def test_wrong_bases_are_refused(coded: CompressedSequence, value: Any) -> None:
 def test_parts_without_labels_are_refused() -> None:
     coded = with_random_inbetweens(with_parts(stored("parts")[0]), 1, of_parts=True)
     with pytest.raises(FormatError, match="in-betweens are of parts, and no triangle has a label"):
-        decode(replace(coded, parts=None))
+        decode(replace(coded, labels=None))
 
 
 def test_affine_fields_are_orthogonal_and_leave_out_what_is_flat() -> None:

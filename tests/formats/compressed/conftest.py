@@ -11,7 +11,7 @@ import pytest
 import mixseq
 from mixseq.compression.bitstream.compressed_sequence import Chunk, CompressedSequence
 from mixseq_io.coded.packing import pack
-from mixseq_io.gltf.mesh_sequence import write_container
+from mixseq_io.gltf.mesh_sequence import StillBody, write_bodies
 from tests.formats.compressed.stream_cases import BETWEEN, PARAMETERS, any_bytes
 from tests.meshes import bar
 
@@ -39,7 +39,8 @@ def h5(tmp_path: Path, coded: CompressedSequence) -> Path:
 def glb(tmp_path: Path, coded: CompressedSequence) -> Path:
     """The same as a .glb; what is decoded of any bytes would be no still."""
     file = tmp_path / "small.glb"
-    write_container(file, pack(coded), coded.header, bar(5, 15, 14).points[0], np.zeros(3), "none")
+    points = bar(5, 15, 14).points[0]
+    write_bodies(file, [StillBody(pack(coded), coded.header, points, np.zeros(3))], "none")
     return file
 
 

@@ -6,13 +6,15 @@ import json
 from dataclasses import asdict, replace
 from math import inf
 from pathlib import Path
+from typing import Any
 
 import h5py
 import pytest
 
 import mixseq
 from mixseq.compression.bitstream.compressed_sequence import Chunk, CompressedSequence, TemporalInterpolation
-from mixseq.errors import OutputError
+from mixseq.errors import FormatError, OutputError
+from mixseq.signals.bodies import Relation
 from mixseq_io.coded.streams import COMPRESSED_VERSION
 from mixseq_io.verification import compressed_sizes, is_compressed, read_compressed
 from tests.formats.compressed.stream_cases import PARAMETERS, any_bytes, assert_same
@@ -75,6 +77,27 @@ def test_any_number_of_streams(tmp_path: Path, groups: int, chunks: int) -> None
     mixseq.save(file, coded)
     assert_same(read_compressed(file), coded)
     assert compressed_sizes(file)["index"] < 40 + 14 * chunks
+
+
+def test_bodies_come_back(h5: Path, coded: CompressedSequence) -> None:
+    header = bar(7, 9, 14).header
+    relation = Relation((0.6, 0.0, 0.8, 0.0), same_parts=True)
+    other = replace(coded, header=header, basis=(any_bytes(90),), relation=relation)
+    mixseq.save(h5, replace(coded, bodies=(other,)))
+    got = read_compressed(h5)
+    assert_same(got, coded)
+    [body] = got.bodies
+    assert_same(body, other)
+    assert body.relation == relation
+    sizes = compressed_sizes(h5)
+    assert sizes["total"] == sizes["connectivity"] + sizes["container"] + sizes["signals"]
+
+
+@pytest.mark.parametrize("turn", [[1, 0, 0], [1, 1, 0, 0], ["a", 0, 0, 0], None])
+def test_turns_of_bodies_are_checked(h5: Path, coded: CompressedSequence, turn: Any) -> None:
+    mixseq.save(h5, replace(coded, relation=Relation(turn)))
+    with pytest.raises(FormatError, match=r"small\.h5: relation is .*; a quaternion is expected; it is damaged"):
+        read_compressed(h5)
 
 
 def test_only_h5(tmp_path: Path, coded: CompressedSequence) -> None:

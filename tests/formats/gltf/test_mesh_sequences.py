@@ -15,11 +15,12 @@ import pytest
 import mixseq
 from mixseq.choices import STILLS, StillName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
-from mixseq.errors import AmbiguousError, FormatError, MixseqWarning, OutputError, SettingsError
+from mixseq.errors import FormatError, MixseqWarning, OutputError, SettingsError
 from mixseq.mesh.surface import CornerValues, FaceSet, Origin, Surface
 from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.bodies import Relation
 from mixseq.types import FloatArray
-from mixseq_io.verification import compressed_sizes, read_container
+from mixseq_io.verification import compressed_sizes, read_compressed, read_container
 from tests.formats.compressed.stream_cases import assert_same
 from tests.formats.gltf_files import validate
 from tests.meshes import bar, torus
@@ -338,9 +339,29 @@ def test_what_is_wrong_is_named(path: Path, change: Callable[[dict[str, Any]], o
             read(path)
 
 
-def test_one_sequence_is_read(path: Path) -> None:
+def test_every_body_has_a_scene(coded: CompressedSequence, tmp_path: Path) -> None:
+    other = replace(coded, header=replace(coded.header, name="Keule"), relation=Relation((0.0, 0.0, 1.0, 0.0)))
+    mixseq.save(tmp_path / "two.glb", replace(coded, bodies=(other,)), still="plain")
+    content, _ = document(tmp_path / "two.glb")
+    assert content["scene"] == 0
+    assert [[content["nodes"][node]["name"] for node in scene["nodes"]] for scene in content["scenes"]] == [
+        ["Stange"],
+        ["Keule"],
+    ]
+    validate(tmp_path / "two.glb")
+    again = read_compressed(tmp_path / "two.glb")
+    assert_same(again, coded)
+    assert_same(again.bodies[0], other)
+    assert again.bodies[0].relation == other.relation
+    sizes = compressed_sizes(tmp_path / "two.glb")
+    mixseq.save(tmp_path / "one.glb", coded, still="plain")
+    one = compressed_sizes(tmp_path / "one.glb")
+    assert (sizes["connectivity"], sizes["still"]) == (2 * one["connectivity"], 2 * one["still"])
+
+
+def test_two_bodies_of_one_name_are_refused(path: Path) -> None:
     content, binary = document(path)
     content["meshes"].append(content["meshes"][0])
     write(path, content, binary)
-    with pytest.raises(AmbiguousError, match="has 2 mesh sequences; files with one are read"):
+    with pytest.raises(FormatError, match="two bodies have the same name, 'Stange'; it is damaged"):
         mixseq.load(path)

@@ -23,7 +23,7 @@ def models() -> dict[str, Model]:
     return {
         "mixed": jointed(sequence, Detail(rank=2, knots=1)),
         "free": mixseq.fit(sequence, rank=2, knots=1, parts=2, joint_width=3, placement="free"),
-        "vertex": mixseq.fit(sequence, rank=2, knots=1, space="vertex", pose="keys"),
+        "vertex": mixseq.fit(sequence, rank=2, knots=1, space="vertex"),
         "gradient": mixseq.fit(sequence, rank=2, knots=1, space="gradient"),
         "lri": mixseq.fit(sequence, rank=2, knots=1, space="lri"),
         "edge": mixseq.fit(sequence, rank=2, knots=1, space="edge"),

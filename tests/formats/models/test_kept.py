@@ -63,7 +63,6 @@ def test_nothing_is_lost_in_other_spaces(name: str, space: Any, tmp_path: Path) 
         {"tolerance": 1e-2},
         {"rank": 0},
         {"rank": 2, "knots": [0.3]},
-        {"rank": 2, "pose": "keys"},
         {"rank": 2, "knots": 0, "space": "vertex"},
     ],
     ids=str,

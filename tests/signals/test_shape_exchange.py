@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from mixseq.operations import exaggerate_part, key_poses, with_body
 from mixseq.retargeting.sources import prepare_source
 from mixseq.retargeting.transfer import TransferSettings, plan_transfer
 from mixseq.sequence.sequence import join_blocks
+from mixseq.signals.curve import Curve
 from mixseq.types import Float
 from tests.meshes import coarse_walk
 
@@ -26,7 +28,7 @@ STRETCH = np.array([1.0, 1.5, 1.0])
 
 @pytest.fixture(scope="module")
 def model() -> mixseq.Model:
-    return mixseq.fit(coarse_walk(frames=8), rank=4, pose="keys")
+    return mixseq.fit(coarse_walk(frames=8), rank=4)
 
 
 def on_other_body(keys: mixseq.MeshSequence) -> mixseq.MeshSequence:
@@ -36,16 +38,33 @@ def on_other_body(keys: mixseq.MeshSequence) -> mixseq.MeshSequence:
     return mixseq.MeshSequence.from_arrays(keys.points[:, order] * STRETCH, place[keys.faces], fps=1.0)
 
 
-def test_key_poses_that_are_frames_are_these_frames(model: mixseq.Model) -> None:
+def test_key_poses_are_frames_as_many_as_key_shapes(model: mixseq.Model) -> None:
     keys = key_poses(model)
-    wanted = model.sample(frames=sorted(model.key_frames.tolist()))
-    np.testing.assert_allclose(keys.points, wanted.points, atol=1e-3 * model.space.scale)
+    assert keys.frame_count == len(model.shapes) == 5
+    assert np.isin(keys.times, model.times).all()
+    correction = replace(model.correction, values=np.zeros_like(model.correction.values))
+    wanted = replace(model, correction=correction).sample(keys.times).points
+    np.testing.assert_allclose(keys.points, wanted, atol=1e-9 * model.space.scale)
+
+
+def test_knots_stand_for_frames_that_were_cut_away() -> None:
+    """Of one frame that is left, and of its path to the next; edits that need no other key shapes have fewer."""
+    whole = mixseq.fit(coarse_walk(frames=8), rank=4)
+    one = replace(whole, header=whole.header.with_times([0.0]))
+    assert key_poses(one).frame_count == 5
+    still = whole.with_motion(
+        *(Curve(curve.times, np.repeat(curve.values[:1], len(curve.times), axis=0)) for curve in whole.curves)
+    )
+    assert key_poses(still).frame_count == 1
+    again = with_body(still, key_poses(still), "again").body("again")
+    np.testing.assert_allclose(again.sample().points, still.sample().points, atol=3e-3 * whole.space.scale)
 
 
 def test_own_key_poses_give_the_own_motion_back() -> None:
-    exact = mixseq.fit(coarse_walk(frames=6), exact=True, pose="keys")
-    again = with_body(exact, key_poses(exact), "again").body("again")
-    np.testing.assert_allclose(again.sample().points, exact.sample().points, atol=1e-6 * exact.space.scale)
+    walk = coarse_walk(frames=6)
+    for model, accuracy in ((mixseq.fit(walk, exact=True), 1e-6), (mixseq.fit(walk), 1e-3)):
+        again = with_body(model, key_poses(model), "again").body("again")
+        np.testing.assert_allclose(again.sample().points, model.sample().points, atol=accuracy * model.space.scale)
 
 
 def test_a_body_with_the_same_triangles_keeps_parts_and_correction(model: mixseq.Model) -> None:
@@ -60,9 +79,8 @@ def test_losses_are_told(model: mixseq.Model) -> None:
     keys = key_poses(model)
     with pytest.warns(MixseqWarning, match="corrections of part poses, up to .* diagonals, are left out"):
         with_body(model, on_other_body(keys), "tall")
-    blended = mixseq.fit(coarse_walk(frames=8), rank=4)
     with pytest.warns(MixseqWarning, match="its own key poses give the motion back within"):
-        with_body(blended, key_poses(blended), "again")
+        with_body(model, keys, "again")
 
 
 @pytest.mark.parametrize("has_parts", [False, True])
@@ -81,7 +99,7 @@ def test_names_are_unique(model: mixseq.Model) -> None:
         with_body(model, key_poses(model), model.header.name)
 
 
-def test_every_key_shape_needs_a_frame(model: mixseq.Model) -> None:
+def test_every_key_pose_needs_a_frame(model: mixseq.Model) -> None:
     with pytest.raises(SettingsError, match=r"has 4 frames; 5 are expected"):
         with_body(model, coarse_walk(frames=4), "other")
 
@@ -96,9 +114,9 @@ def test_spaces_without_parts_are_refused() -> None:
 @pytest.mark.exhaustive
 def test_six_keys_of_the_elephant_gallop_as_the_horse(data: Path) -> None:
     horse, elephant = (mixseq.read(data / "npz" / f"{name}_gallop.npz") for name in ("horse", "elephant"))
-    model = mixseq.fit(horse, rank=5, pose="keys")
-    frames = elephant.points[model.key_frames]
-    keys = mixseq.MeshSequence.from_arrays(frames, elephant.faces, fps=1.0)
+    model = mixseq.fit(horse, rank=5)
+    frames = np.searchsorted(model.times, key_poses(model).times)
+    keys = mixseq.MeshSequence.from_arrays(elephant.points[frames], elephant.faces, fps=1.0)
     made = with_body(model, keys, "elephant").body("elephant").sample().points.astype(np.float64)
     unit = np.linalg.norm(np.ptp(elephant.points[0], axis=0))
     assert _aligned_error(made, elephant.points.astype(np.float64)) <= 0.0098 * unit
@@ -110,7 +128,7 @@ def test_six_keys_of_the_elephant_gallop_as_the_horse(data: Path) -> None:
 def test_a_body_moves_as_if_all_frames_had_been_transferred(data: Path) -> None:
     """As docs/transfer.md says; the wolf's body turns, and stands elsewhere than the horse's."""
     horse = mixseq.read(data / "npz" / "q_horse_gallop.npz")
-    wolf = mixseq.fit(data / "npz" / "q_wolf_gallop.npz", pose="keys")
+    wolf = mixseq.fit(data / "npz" / "q_wolf_gallop.npz")
     whole = plan_transfer(wolf, horse)
     motion = prepare_source(key_poses(wolf), wolf.sample(frames=[0]), wolf.parts)
     keys = plan_transfer(motion, horse, TransferSettings(mapping=whole.correspondence))

@@ -1,12 +1,17 @@
 r"""Apply the motion of one body to another: combine its time and pose signals with key shapes of another mesh.
 
-The key shapes of the second body (`mixseq.signals.bodies`) are the poses of `key_poses`, transferred or modelled by
-hand, encoded in its own shape space. It stands as the first, up to the mean rotation A and the mean shift d between
-their key poses. What is left of both in a key pose is a motion of the second body's parts in this frame,
+The poses of `key_poses`, transferred or modelled by hand, are encoded in the shape space of the second body. Its key
+shapes :math:`P'_j` (`mixseq.signals.bodies`) are blended to these vectors :math:`s'_i` by the weights of the model at
+the times :math:`t_i` of the key poses:
 
-.. math:: Q_j A, \qquad C_j + d, \qquad \text{instead of} \quad Q'_j, \quad C'_j,
+.. math:: \sum_j \varphi_j(c(t_i))\, P'_j = s'_i
 
-and part of its key shape: two bodies with other proportions bob and pitch otherwise in the same pose.
+It stands as the first, up to the mean rotation A and the mean shift d between their key poses. What is left of both in
+a key pose is a motion of the second body's parts in this frame,
+
+.. math:: Q_i A, \qquad C_i + d, \qquad \text{instead of} \quad Q'_i, \quad C'_i,
+
+and part of its shape: two bodies with other proportions bob and pitch otherwise in the same pose.
 """
 
 from __future__ import annotations
@@ -16,6 +21,7 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import linalg
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.rigid import nearest_rotations
@@ -28,7 +34,6 @@ from mixseq.mesh.rotations import (
     quat_to_matrix,
     rotate_vectors,
 )
-from mixseq.operations.sections import correction_norm
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import log_progress
 from mixseq.runtime.public import FileOr, public
@@ -36,7 +41,13 @@ from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.sequence.provenance import format_error, with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames, warn_of_loss
 from mixseq.signals.bodies import Body
-from mixseq.signals.detail import VISUALLY_LOSSLESS_TOLERANCE, encode_sequence, find_rounding_step, round_key_shapes
+from mixseq.signals.detail import (
+    VISUALLY_LOSSLESS_TOLERANCE,
+    encode_sequence,
+    find_rounding_step,
+    max_norm,
+    round_key_shapes,
+)
 from mixseq.signals.model import Model
 from mixseq.spaces.making import MixedSettings, make_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace, as_mixed
@@ -46,13 +57,16 @@ from mixseq.types import Float, IntArray
 AXIS_ITERATIONS = 100
 """Number of iterations by which body axes and part axes of two bodies are matched."""
 
+MIN_INDEPENDENCE = 1e-9
+"""Least distance of the weights of a key pose from the span of the others, relative to the largest weights."""
+
 
 @public
 def key_poses(model: Model) -> MeshSequence:
-    """Return the key shapes of a model as a sequence of meshes, one frame each.
+    """Return the frames of a model from which all its poses are blended.
 
-    A key shape has the placement of the frame that is most like it; with ``mixseq.fit(sequence, pose="keys")`` it is
-    that frame. Transferred to another body, the key poses are the input of `with_body`.
+    A QR decomposition with pivoting chooses the least number of frames, as unlike as possible. Transferred to another
+    body, the key poses are the input of `with_body`.
 
     Parameters
     ----------
@@ -62,13 +76,14 @@ def key_poses(model: Model) -> MeshSequence:
     Returns
     -------
     MeshSequence
-        K frames, one second apart.
+        At most one frame per key shape, at its time, without the correction of part poses.
     """
-    times = np.arange(len(model.shapes), dtype=np.float64)
-    corrections = np.zeros((len(times), model.space.correction_dim))
-    vectors = np.concatenate([model.shapes, model.placement(_key_times(model)), corrections], axis=1)
+    times = key_times(model)
+    vectors = np.array(model.curve(times))
+    vectors[:, model.space.dim - model.space.correction_dim :] = 0.0
     with one_blas_thread():
-        return MeshSequence.from_header(model.header.with_times(times, 1.0), model.space.decode(vectors))
+        points = model.space.decode(vectors)
+    return MeshSequence.from_header(model.header.with_times(times, model.header.fps), points)
 
 
 @public
@@ -89,7 +104,7 @@ def with_body(
     model : Model
         A model in the mixed shape space.
     keys : MeshSequence or SequenceReader
-        The poses of `key_poses` on the other body, in the same order: a sequence of any mesh, one frame per key shape.
+        The poses of `key_poses` on the other body, in the same order: a sequence of any mesh.
     name : str
         Name of the body, unlike `Model.body_names`.
     parts : (F',) int, optional
@@ -107,7 +122,7 @@ def with_body(
     Raises
     ------
     SettingsError
-        If there is not one frame per key shape, a body has this name, the meshes consist of another number of touching
+        If there is not one frame per key pose, a body has this name, the meshes consist of another number of touching
         components, the turn is no rotation, or the space of the model has no parts.
     InvalidSequenceError
         If the keys are not a sequence.
@@ -122,36 +137,37 @@ def with_body(
     >>> import mixseq
     >>> from mixseq.creature import walk_cycle
     >>> from mixseq.operations import key_poses, with_body
-    >>> model = mixseq.fit(walk_cycle(frames=6), pose="keys", exact=True)
+    >>> model = mixseq.fit(walk_cycle(frames=6), exact=True)
     >>> keys = key_poses(model)
     >>> tall = mixseq.MeshSequence.from_arrays(keys.points * [1.0, 1.5, 1.0], keys.faces, fps=1.0)
     >>> herd = with_body(model, tall, "tall fox")
     >>> herd.body("tall fox").sample().frame_count
     6
     """
-    body = _make_body(model, cast("Frames", keys), name, parts, np.eye(3) if turn is None else turn)
+    body = make_body(model, cast("Frames", keys), name, parts, np.eye(3) if turn is None else turn)
     own, times = (
-        _make_body(model, key_poses(model), name, None, np.eye(3)),
+        make_body(model, key_poses(model), name, None, np.eye(3)),
         model.times[sample_frame_ids(len(model.times))],
     )
     pairs = zip(model.alone_as(own).blocks(times), model.blocks(times), strict=True)
     gap = max(float(np.linalg.norm(a - b, axis=2).max()) for a, b in pairs) / model.space.scale
     if gap > VISUALLY_LOSSLESS_TOLERANCE:
         text = f"its own key poses give the motion back within {format_error(gap)} diagonals"
-        warn_of_loss(model.header, text, "fit it with pose='keys' and a larger rank")
+        warn_of_loss(model.header, text, "fit it more accurately")
     return replace(model, bodies=(*model.bodies, body))
 
 
-def _make_body(model: Model, keys: Frames, name: str, parts: ArrayLike | None, turn: ArrayLike) -> Body:
-    """Return the body of `with_body`, without a warning of inaccurate motion."""
+def make_body(model: Model, keys: Frames, name: str, parts: ArrayLike | None, turn: ArrayLike) -> Body:
+    """Return the body of `with_body` without a warning of inaccurate motion, as its keys may be all frames."""
     first, turn = as_mixed(model.space), np.asarray(turn, dtype=np.float64)
     if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3)) or np.linalg.det(turn) < 0:
         raise SettingsError("the turn is no rotation; a matrix (3, 3) with orthogonal columns of length 1 is expected")
     check_frames(keys)
     count = keys.header.frame_count
-    if count != len(model.shapes):
+    times = key_times(model)
+    if count != len(times):
         raise SettingsError(
-            f"{keys.header.name!r} has {count} frames; {len(model.shapes)} are expected, one per key shape of "
+            f"{keys.header.name!r} has {count} frames; {len(times)} are expected, one per key pose of "
             f"{model.header.name!r}: transfer the poses that key_poses makes"
         )
     frames = load_frames(keys, log_progress)
@@ -169,16 +185,20 @@ def _make_body(model: Model, keys: Frames, name: str, parts: ArrayLike | None, t
         )
     encoded = encode_sequence(frames, space)
     shapes, placed = np.asarray(encoded.shapes[:]), space.unpack_placements(encoded.placement)
+    weights = model.pose.weights(model.time(times))
+    part_rotations = _part_rotations(first, weights @ model.shapes)
     if corresponds:
-        shapes, placed = _match_body_axes(model, space, shapes, placed)
-    before = first.unpack_placements(model.placement(_key_times(model)))
+        shapes, placed = _match_body_axes(part_rotations, space, shapes, placed)
+    before = first.unpack_placements(model.placement(times))
     before = Poses(normalise_quat(before.rotations), before.centres)
     body = Body(keys.header, space, shapes, matrix_to_quat(turn), *_mean_motion(turn, before, placed))
     shapes = _change_body_axes(space, shapes, _relative_poses(placed, body.place(before)))
+    turns = _part_turns(part_rotations, space, shapes) if corresponds else None
+    shapes = np.asarray(np.linalg.lstsq(weights, shapes)[0], dtype=np.float64)
     round_key_shapes(shapes, space, find_rounding_step(model.shapes, first))
-    turns = _part_turns(model, space, shapes) if corresponds else None
     if turns is None:
-        loss = float(correction_norm(model)(model.correction.values).max(initial=0.0))
+        correction_weights = first.weights[first.shape_dim + first.placement_dim :]
+        loss = float(max_norm(correction_weights)(model.correction.values).max(initial=0.0))
         if loss > VISUALLY_LOSSLESS_TOLERANCE:
             text = f"corrections of part poses, up to {format_error(loss)} diagonals, are left out"
             warn_of_loss(model.header, text, "a body with the same triangles, or parts, keeps them")
@@ -198,15 +218,14 @@ def _part_rotations(space: MixedSpace, shapes: Float) -> Float:
     return quat_to_matrix(normalise_quat(poses.rotations))
 
 
-def _match_body_axes(model: Model, space: MixedSpace, shapes: Float, placed: Poses) -> tuple[Float, Poses]:
-    """Turn the body axes of key shapes ``(K, S)`` and their body poses ``(K, B)`` to those of a model's key shapes.
+def _match_body_axes(before: Float, space: MixedSpace, shapes: Float, placed: Poses) -> tuple[Float, Poses]:
+    """Turn the body axes of shapes ``(K, S)`` and their body poses ``(K, B)`` to those of another body.
 
     Blends depend on body axes, which follow from the reference. Turns D of bodies, and C of the axes of parts, minimise
-    the distances of D R' and R C, for part rotations R of the model and R' of the key shapes.
+    the distances of D R' and R C, for part rotations R ``(K, p, 3, 3)`` of the other body and R' of the shapes.
     """
     articulation = space.articulation
-    before, after = _part_rotations(as_mixed(model.space), model.shapes), _part_rotations(space, shapes)
-    turned = after
+    turned = after = _part_rotations(space, shapes)
     for _ in range(AXIS_ITERATIONS):
         part_turns = nearest_rotations((before.swapaxes(-1, -2) @ turned).sum(axis=0))
         body_turns = nearest_rotations(articulation.body_sums(before @ part_turns @ after.swapaxes(-1, -2)))
@@ -232,17 +251,19 @@ def _change_body_axes(space: MixedSpace, shapes: Float, axes: Poses) -> Float:
     return np.concatenate([shapes[:, :start], *(block.reshape(len(shapes), -1) for block in blocks)], axis=1)
 
 
-def _part_turns(model: Model, space: MixedSpace, shapes: Float) -> Float:
-    """Return the mean rotations ``(p, 3, 3)`` from axes of a model's parts to those of key shapes ``(K, S)``."""
-    before, after = _part_rotations(as_mixed(model.space), model.shapes), _part_rotations(space, shapes)
-    return nearest_rotations((before.swapaxes(-1, -2) @ after).sum(axis=0))
+def _part_turns(before: Float, space: MixedSpace, shapes: Float) -> Float:
+    """Return the mean rotations ``(p, 3, 3)`` from axes of parts turned by ``(K, p, 3, 3)`` to those of shapes."""
+    return nearest_rotations((before.swapaxes(-1, -2) @ _part_rotations(space, shapes)).sum(axis=0))
 
 
-def _key_times(model: Model) -> Float:
-    """Return the times ``(K,)`` of the frames whose weights are nearest to those of key shapes."""
-    weights = model.pose.weights(model.time(model.times))
-    frames = (np.square(weights).sum(axis=1, keepdims=True) - 2.0 * weights).argmin(axis=0)
-    return np.asarray(model.times[frames])
+def key_times(model: Model) -> Float:
+    """Return the times of the key poses: frames, or knots of the time signal if frames lack some of its poses."""
+    chosen = []
+    for times in (model.times, model.time.times):
+        triangle, pivots = linalg.qr(model.pose.weights(model.time(times)).T, mode="r", pivoting=True)
+        lengths = np.abs(triangle.diagonal())
+        chosen.append(np.sort(times[pivots[: np.count_nonzero(lengths > MIN_INDEPENDENCE * lengths[0])]]))
+    return max(chosen, key=len)
 
 
 def _mean_motion(turn: Float, before: Poses, after: Poses) -> tuple[Float, Float]:

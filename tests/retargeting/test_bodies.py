@@ -1,4 +1,4 @@
-"""Extremities: prominences of maxima, and the tips of the fox."""
+"""Bodies: distances along coarse surfaces, prominences of maxima, and the tips of the fox."""
 
 from __future__ import annotations
 
@@ -6,23 +6,14 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.retargeting.suggestions import (
-    CoarseSurface,
-    Extremities,
-    find_maxima,
-    mean_surface_distances,
-    sample_far_apart,
-)
+from mixseq.retargeting.bodies import Body, CoarseSurface, find_maxima
 from mixseq.types import Float
 from tests.meshes import grid, joined, rotation, topology_of, tube
-from tests.retargeting.foxes import Fox, short, tall
+from tests.retargeting.foxes import short, tall
 
 TIPS = {"tail4", "nose", *(f"{where}paw.{side}" for where in ("fore", "hind") for side in "lr")}
-EARS = {"ear.l", "ear.r"}
-
-
-def surface_of(fox: Fox) -> CoarseSurface:
-    return CoarseSurface.from_mesh(fox.points, fox.topology)
+WHOLE = 2500
+"""More vertices than these meshes have."""
 
 
 def test_maxima_of_two_hills() -> None:
@@ -34,7 +25,7 @@ def test_maxima_of_two_hills() -> None:
         away = np.linalg.norm(points[:, :2] - place, axis=1) / (high - low)[0]
         return np.asarray(height * np.maximum(1 - away / 0.3, 0))
 
-    surface = CoarseSurface.from_mesh(points, topology_of((points, faces)))
+    surface = CoarseSurface.from_mesh(points, topology_of((points, faces)), WHOLE)
     values = np.maximum(hill((0.2, 0.2), 3.0), hill((0.75, 0.75), 2.0))
     vertices, prominences = find_maxima(values, surface)
     np.testing.assert_allclose(prominences[:2], [values.max(), values[vertices[1]]])  # a plain between them
@@ -45,28 +36,11 @@ def test_maxima_of_two_hills() -> None:
     assert np.allclose(find_maxima(raised, surface)[1][1], values[vertices[1]] - 1.5)
 
 
-def test_samples_are_far_from_each_other() -> None:
-    surface = surface_of(short())
-    samples, distances = sample_far_apart(surface, 20)
-    apart = distances[:, samples] + np.diag(np.full(20, np.inf))
-    rest = distances.min(axis=0)
-    assert apart.min() >= rest.max() - 1e-9
-
-
-def test_the_mean_distance_is_least_in_the_trunk() -> None:
-    fox = short()
-    values = mean_surface_distances(surface_of(fox))
-    assert fox.bones[int(values.argmin())] in {"pelvis", "belly", "chest"}
-
-
-def test_extremities_of_the_fox() -> None:
+def test_tips_of_the_fox() -> None:
     for fox in (short(), tall()):
-        found = Extremities.from_surface(surface_of(fox))
-        names = [fox.bones[vertex] for vertex in found.vertices]
-        assert set(names[:6]) == TIPS
-        assert set(names[6:8]) == EARS
-        assert (np.diff(found.prominences) <= 0).all()
-        np.testing.assert_allclose(found.distances, found.distances.T, atol=1e-9)
+        body = Body.from_poses(fox.points[None], fox.topology, 700, np.zeros(0, np.int64))
+        assert {fox.bones[vertex] for vertex in body.surface.vertices[body.tips]} == TIPS
+        assert fox.bones[body.surface.vertices[body.mean_distances.argmin()]] in {"pelvis", "belly", "chest"}
 
 
 # Coarse surfaces have the area one, and distances along them are those of the plane where it is one
@@ -74,7 +48,7 @@ def test_extremities_of_the_fox() -> None:
 
 def test_distances_in_a_plane() -> None:
     mesh = grid(20, 20)
-    surface = CoarseSurface.from_mesh(mesh[0], topology_of(mesh))
+    surface = CoarseSurface.from_mesh(mesh[0], topology_of(mesh), WHOLE)
     straight = np.linalg.norm(surface.points[:, None] - surface.points, axis=2)
     along = surface.distances(np.arange(len(mesh[0])))
     assert (along >= straight - 1e-9).all()
@@ -83,7 +57,7 @@ def test_distances_in_a_plane() -> None:
 
 def test_distances_around_a_tube() -> None:
     mesh = tube(24, 30, closed=False)
-    surface = CoarseSurface.from_mesh(mesh[0], topology_of(mesh))
+    surface = CoarseSurface.from_mesh(mesh[0], topology_of(mesh), WHOLE)
     half = np.pi * 0.5 / surface.size  # radius 0.5
     across = surface.distances(np.array([0]))[0, 12]
     assert across == pytest.approx(half, rel=0.01)
@@ -91,8 +65,8 @@ def test_distances_around_a_tube() -> None:
 
 def test_coarse_surface_has_unit_area() -> None:
     fox = short()
-    surface = CoarseSurface.from_mesh(fox.points, fox.topology)
-    moved = CoarseSurface.from_mesh(30 * fox.points @ rotation((1.0, 0.3, 0.2)).T + 7, fox.topology)
+    surface = CoarseSurface.from_mesh(fox.points, fox.topology, WHOLE)
+    moved = CoarseSurface.from_mesh(30 * fox.points @ rotation((1.0, 0.3, 0.2)).T + 7, fox.topology, WHOLE)
     assert surface.mesh.face_areas.sum() == pytest.approx(1)
     assert moved.size == pytest.approx(30 * surface.size)
     own, other = (each.distances(np.array([3])) for each in (surface, moved))
@@ -112,4 +86,4 @@ def test_the_largest_component_is_decimated() -> None:
 def test_meshes_without_area_are_refused() -> None:
     mesh = np.zeros((3, 3)), np.array([[0, 1, 2]])
     with pytest.raises(SettingsError, match="no triangle of the mesh has an area"):
-        CoarseSurface.from_mesh(mesh[0], topology_of(mesh))
+        CoarseSurface.from_mesh(mesh[0], topology_of(mesh), WHOLE)
