@@ -303,12 +303,8 @@ def _fit_curves_within_slack(
         own_scores = scores if mask.all() else scores[:, mask]
         for rows in element_blocks(len(times), scores.shape[1]):  # curves of long sequences are larger than these
             values[rows][:, mask] = of_group.select(rows).interpolate(own_scores)
-    if not slack and step:
-        _round(values, step * scales, out=values)
-        time = Curve(times, values)
-    else:
-        score_norm = rms_over_vertices(encoded.header.vertex_count)
-        time = _fit_rounded(times, values, slack, score_norm, step * scales)
+    score_norm = rms_over_vertices(encoded.header.vertex_count)
+    time = _fit_rounded(times, values, slack, score_norm, step * scales, out=values)
     del values
     pose_weights = np.split(space.weights[space.shape_dim :], [space.placement_dim])
     placement_norm, correction_norm = map(max_norm, pose_weights)
@@ -319,9 +315,13 @@ def _fit_curves_within_slack(
     return time, placement, _fit_rounded(quarter_times, rotations_and_shifts, slack, correction_norm, step)
 
 
-def _fit_rounded(times: Float, values: Float, slack: float, norm: DeviationNorm, step: float | Float) -> Curve:
-    curve = fit_curve(times, values, slack, norm) if slack > 0 else Curve(times, values)
-    return Curve(curve.times, _round(curve.values, step)) if np.any(step) else curve
+def _fit_rounded(
+    times: Float, values: Float, slack: float, norm: DeviationNorm, step: float | Float, out: Float | None = None
+) -> Curve:
+    if slack > 0:
+        curve = fit_curve(times, values, slack, norm)
+        times, values, out = curve.times, curve.values, None
+    return Curve(times, _round(values, step, out) if np.any(step) else values)
 
 
 def _round(values: Float, step: float | Float, out: Float | None = None) -> Float:
