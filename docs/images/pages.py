@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from threading import Thread
 
 import numpy as np
+from make import long_legs
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
@@ -19,8 +20,10 @@ from mixseq.cli.view import command as view_command
 from mixseq.creature import walk_cycle
 from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
+from mixseq.retargeting.markers import Markers
 from mixseq.signals.model import Model
 from mixseq.viewer.live import ViewSettings
+from mixseq.viewer.live.marking import MarkedMeshes, run_marking_viewer
 from mixseq.viewer.live.viewer import run_viewer
 from mixseq.web import package_files
 
@@ -42,15 +45,18 @@ def main() -> None:
     )
     with TemporaryDirectory() as folder, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=ARGUMENTS)
+        context = browser.new_context(viewport=SIZE)
+        context.set_default_timeout(180_000)
         settings = ViewSettings(folder=Path(folder))
         with run_viewer(SceneColours(Scene((SceneItem("walk.h5", model),))), settings, save_model) as running:
-            take_viewer(browser.new_page(viewport=SIZE), running.address)
+            take_viewer(context.new_page(), running.address)
         with run_viewer(SceneColours(Scene((SceneItem("walk.h5", model),))), settings, save_model) as running:
-            take_pose(browser.new_page(viewport=SIZE), running.address, model)
+            take_pose(context.new_page(), running.address, model)
+        take_markers(context.new_page())
         mixseq.save(Path(folder, "walk.h5"), model)
         exported = str(Path(folder, "walk.html"))
         view_command.main([str(Path(folder, "walk.h5")), "--export", exported], standalone_mode=False)
-        page = browser.new_page(viewport=SIZE)
+        page = context.new_page()
         page.goto(f"file://{exported}")
         page.wait_for_timeout(8000)
         page.keyboard.press("Space")
@@ -59,7 +65,7 @@ def main() -> None:
         mixseq.save(Path(folder, "shot.glb"), mixseq.compress(model.sample(), max_error=1e-3), still="none")
         for name, text in package_files().items():
             Path(folder, name).write_text(text, encoding="utf-8")
-        take_player(browser.new_page(viewport=SIZE), folder)
+        take_player(context.new_page(), folder)
         browser.close()
 
 
@@ -125,6 +131,26 @@ def take_viewer(page: Page, address: str) -> None:
     page.wait_for_timeout(8000)
     save(page, "viewer.png")
     page.mouse.up()
+
+
+def take_markers(page: Page) -> None:
+    """Markers of the fox and of one with longer legs, which looks elsewhere, seen from the same side."""
+    source, legs = walk_cycle(frames=4), long_legs()
+    a = np.radians(35.0)
+    turned = legs.points @ np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
+    target = mixseq.MeshSequence.from_arrays(turned, legs.polygons, fps=24)
+    nothing = Markers.from_pairs(np.zeros((0, 2), np.int64))
+    meshes = MarkedMeshes(source, target, ("fox.usdc", "long legs.usdc"), nothing, "pairs.txt")
+    with run_marking_viewer(meshes, ViewSettings(), lambda _: "") as running:
+        page.goto(running.address)
+        page.get_by_text("Software WebGL").wait_for(timeout=60_000)
+        page.locator(".mantine-Notification-closeButton").click()
+        page.get_by_text("The next one has a ?").wait_for(timeout=180_000)
+        page.get_by_role("button", name="Accept all").click()
+        page.get_by_text("(median)").wait_for(timeout=60_000)
+        page.get_by_role("button", name="Back", exact=True).click()  # foxes look along x
+        page.wait_for_timeout(5000)
+        save(page, "markers.png")
 
 
 def take_player(page: Page, folder: str) -> None:

@@ -51,6 +51,7 @@ def facts(transferred: Transfer, method: str, report: TransferReport, verdict: V
     return (
         reported
         | _part_counts(transferred)
+        | {"turned_limbs_degrees": transferred.turned}
         | {"correspondence": None if quality is None else _quality_facts(quality)}
         | {"proposal": None if transferred.proposal is None else _proposal_facts(transferred.proposal)}
         | report.as_dict()
@@ -63,7 +64,7 @@ def rows(transferred: Transfer, report: TransferReport, verdict: Verdict) -> lis
     """Return the report of a transfer as table rows."""
     from mixseq.sequence.sequence import bounding_diagonal
 
-    header, parts = transferred.header, _part_counts(transferred)
+    header, parts, turned = transferred.header, _part_counts(transferred), transferred.turned
     diagonal = bounding_diagonal(transferred.target) * header.metres_per_unit
     by = ", ".join(_number(count, what[:-1]) for what, count in parts.items()) or "deformation gradients"
     frames = _number(header.frame_count, "frame")
@@ -71,6 +72,7 @@ def rows(transferred: Transfer, report: TransferReport, verdict: Verdict) -> lis
     return [
         ("verdict", verdict.text),
         ("transferred", f"{frames} to {header.vertex_count:,} vertices, by {by}"),
+        *([("rest pose", f"limbs turned by up to {turned:.0f} degrees into the source's")] if turned else []),
         *_coverage_rows(report.coverage),
         *([] if transferred.quality is None else _quality_rows(transferred.quality, diagonal)),
         *([] if transferred.proposal is None else [("proposed", _proposed(transferred.proposal))]),

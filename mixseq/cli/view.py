@@ -134,8 +134,8 @@ def command(
     show parts and joints, the error against the original, strain, or the change of curvature. All bodies of a model are
     shown, and what is edited of one plays on all. A model also has its time
     curve, which can be dragged or redrawn, its coefficients, and keys to retime it; buttons repeat, cut, hold and
-    exaggerate. All edits can be undone. Results are saved as a model or a sequence in the folder where the command was
-    started.
+    exaggerate, and points of the mesh are dragged to new poses. All edits can be undone. Results are saved as a model,
+    a sequence or a script of the edits in the folder where the command was started.
 
     With --markers, the two FILES are shown at rest, each in its first frame (from glTF, in the pose without animation).
     Their motion only helps to propose pairs. Click corresponding points in pairs; the viewer proposes pairs where it is
@@ -247,9 +247,13 @@ def _has_screen() -> bool:
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> str:
-    """Write an edited model as a model or a sequence; return a message with the file name and the files it needs."""
+def _save(sources: Sequence[Path], path: Path, edited: Model | str, replace: bool) -> str:
+    """Write an edited model as a model or a sequence, or the text of a script; return a message.
+
+    The message has the file name and the files that it needs.
+    """
     from mixseq.runtime.parallel import thread_executor
+    from mixseq_io.files import atomic_file
     from mixseq_io.numbered.files import find_numbered_files
 
     for source in sources:
@@ -257,10 +261,13 @@ def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> s
     if not replace and (path.exists() or any(find_numbered_files(path))):
         raise OutputError(f"{path.name} exists; give another name, or tick Replace")
     try:
-        if path.suffix.lower() in MODEL_EXTENSIONS:
-            mixseq.save(path, model)
+        if isinstance(edited, str):
+            with atomic_file(path) as temporary:
+                temporary.write_text(edited, encoding="utf-8")
+        elif path.suffix.lower() in MODEL_EXTENSIONS:
+            mixseq.save(path, edited)
         else:
-            write_frames(path, model, model.header, False, {}, log_progress, thread_executor())
+            write_frames(path, edited, edited.header, False, {}, log_progress, thread_executor())
     except OSError as error:
         raise OutputError(f"{path}: {error.strerror or error}") from None
     return f"{path.name} in {path.parent}{needed(path)}"
@@ -354,8 +361,10 @@ def _with_motion(path: Path, reading: Mapping[str, Any], rest: MeshSequence) -> 
             frames = load_frames(reader)
     if frames.header.vertex_count != rest.vertex_count:
         return rest
-    poses = np.concatenate([rest.points[:1], frames.points[evenly_spaced(len(frames.points), MAX_POSES - 1)]])
-    return mixseq.MeshSequence.from_header(rest.header.with_times(np.arange(len(poses), dtype=float)), poses)
+    chosen, header = evenly_spaced(len(frames.points), MAX_POSES - 1), frames.header
+    times = np.append(header.times[0] - 1 / header.fps, header.times[chosen])  # frames keep their numbers
+    poses = np.concatenate([rest.points[:1], frames.points[chosen]])
+    return mixseq.MeshSequence.from_header(rest.header.with_times(times, header.fps), poses)
 
 
 # Pages that play without the viewer -----------------------------------------------------------------------------

@@ -21,6 +21,7 @@ durations are in frames of the edited model (`mixseq.sequence.frame_rates`).
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -41,6 +42,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
+from mixseq.signals.pose import Plane
 from mixseq.types import Float
 
 
@@ -224,6 +226,18 @@ def _read_handles(value: Any, folder: Path, readers: Readers) -> list[Handle]:
     return [Handle(**table) for table in value]
 
 
+def _read_plane(value: Any, folder: Path, readers: Readers) -> Plane:
+    if not isinstance(value, dict) or set(value) != set(Plane._fields):
+        raise WrongTypeError
+    try:
+        plane = Plane(**{name: np.array(numbers, dtype=np.float64) for name, numbers in value.items()})
+    except (ValueError, TypeError):
+        raise WrongTypeError from None
+    if plane.axes.shape != (*plane.origin.shape, 2) or plane.directions.shape[1:] != (2,):
+        raise WrongTypeError
+    return plane
+
+
 def _handles_in_seconds(value: list[Handle], header: SequenceHeader, unit: Unit) -> list[Handle]:
     return [replace(handle, time=_number_in_seconds(handle.time, header, unit)) for handle in value]
 
@@ -232,6 +246,7 @@ _HANDLE_TYPES = {"time": float, "position": list[float], "vertex": int, "part": 
 _HANDLES_TEXT = (
     "tables of time, vertex or part, and position or rotation of the part, or a CSV file of time,vertex,x,y,z,"
 )
+_PLANE_TEXT = "a table of the lists origin, axes and directions, as the viewer writes it,"
 _KEYS_TEXT = "pairs of output and source times, as a list or a CSV or TOML file,"
 _WEIGHT_TEXT = "a number, or pairs of time and weight as a list or a CSV file,"
 
@@ -240,6 +255,7 @@ PARSED_PARAMETERS: Mapping[str, tuple[str, str, ReadValue, ToSeconds | None]] = 
     "points": ("mesh", "the file of a mesh", _read_mesh, None),
     "curve": ("curve", "pairs of x and y, as a list or a CSV file,", _read_pairs, None),
     "handles": ("handles", _HANDLES_TEXT, _read_handles, _handles_in_seconds),
+    "plane": ("plane", _PLANE_TEXT, _read_plane, None),
     "to": ("to", "a list of two numbers, x and y,", _read_position, None),
     "keys": ("keys", _KEYS_TEXT, _read_keys, lambda value, header, unit: value.in_seconds(header.fps, header, unit)),
     "weight": ("weight", _WEIGHT_TEXT, _read_weight, _weight_in_seconds),
@@ -306,6 +322,35 @@ def read_script(path: Path, readers: Readers) -> list[Edit]:
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables) or not tables:
         raise SettingsError(f"{path} has no edits; write each as a table [[edit]] with operation = and keys")
     return [_make_edit(number, table, path.parent, readers, unit) for number, table in enumerate(tables, 1)]
+
+
+def format_script(edits: Sequence[Callable[[Model], Model]]) -> str:
+    """Return the text of a script with operations, or `functools.partial` objects of them with their arguments."""
+    if not edits:
+        raise SettingsError("there are no edits yet; make one")
+    tables = []
+    for edit in edits:
+        function, arguments = (edit.func, edit.keywords) if isinstance(edit, partial) else (edit, {})
+        names = {key.parameter: name for name, key in script_keys(function).items()}
+        given = {names[parameter]: value for parameter, value in arguments.items() if value is not None}
+        entries = {"operation": function.__name__, **given}
+        tables.append("\n".join(["[[edit]]", *(f"{name} = {_format_value(value)}" for name, value in entries.items())]))
+    return "\n\n".join(tables) + "\n"
+
+
+def _format_value(value: Any) -> str:
+    """Format a value as TOML."""
+    if isinstance(value, bool | str):
+        return json.dumps(value)
+    if isinstance(value, int | float | np.number):
+        return repr(value.item() if isinstance(value, np.number) else value)
+    if isinstance(value, Handle):
+        value = {name: entry for name, entry in vars(value).items() if entry is not None}
+    elif isinstance(value, Plane):
+        value = value._asdict()
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name} = {_format_value(entry)}" for name, entry in value.items()) + "}"
+    return "[" + ", ".join(map(_format_value, value)) + "]"
 
 
 def load_operation(operation: str) -> Callable[..., Model]:

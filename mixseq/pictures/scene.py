@@ -451,14 +451,18 @@ class Arrangement:
         position, centre = self.camera(aspect)
         return float(np.linalg.norm(position - centre))
 
-    def side_by_side(self) -> Arrangement:
-        """Return the arrangement with meshes in a row or column across the view, about the centre of all meshes."""
+    def side_by_side(self, centre: Float | None = None) -> Arrangement:
+        """Return the arrangement with meshes in a row or column across the view.
+
+        The mean of their centres is `centre` ``(3,)``, by default where it was.
+        """
         axis = -self.view.rotation[1] if self.is_stacked else View(self.view.azimuth, 0.0).rotation[0]
         boxes = self._turned_boxes
         sizes = np.ptp(boxes, axis=1) @ np.abs(axis)
         ends = np.cumsum(sizes + MESH_GAP_RATIO * sizes.max())
         offsets = np.outer(ends - sizes / 2, axis) - boxes.mean(axis=1)
-        offsets += (self.centres - offsets - boxes.mean(axis=1)).mean(axis=0)
+        middle = self.centres.mean(axis=0) if centre is None else centre
+        offsets += middle - (offsets + boxes.mean(axis=1)).mean(axis=0)
         if not self.is_stacked:
             offsets[:, 1] = -boxes[:, 0, 1]
         return replace(self, offsets=offsets)
@@ -486,7 +490,7 @@ class Arrangement:
     def turned(self, index: int, degrees: float) -> Arrangement:
         """Return the arrangement with the own view of one mesh at another azimuth."""
         turns = (*self.turns[:index], degrees, *self.turns[index + 1 :])
-        return replace(self, turns=turns).side_by_side()
+        return replace(self, turns=turns).side_by_side(self.centres.mean(axis=0))
 
 
 def arrange_meshes(scene: Scene, side_by_side: bool, camera: tuple[float, float] | None = None) -> Arrangement:

@@ -19,7 +19,8 @@ from functools import cached_property
 
 import numpy as np
 
-from mixseq.mesh.measures import length_weights
+from mixseq.mesh.measures import dihedral_angles, length_weights
+from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.joints import EdgewiseMetrics, GradientMetrics, JointFrame, JointSolver
@@ -32,7 +33,7 @@ from mixseq.retargeting.parts import (
     RestShapes,
     transfer_parts,
 )
-from mixseq.retargeting.sources import Alignment
+from mixseq.retargeting.sources import Alignment, fit_alignment
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.segmentation.joints import (
@@ -48,6 +49,9 @@ from mixseq.types import Float, FloatArray, Index
 
 OFFSET_WEIGHT = 0.3
 """Weight of the offsets of free vertices relative to edge lengths; larger weights stretch joints."""
+
+MIN_LIMB_TURN = 0.25
+"""Smallest rotation of a limb at rest into the direction of the source's, in radians; bodies differ by smaller ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,16 +155,49 @@ class MixedTransfer(PickledWithoutCaches):
         poses = self.transfer_poses(points, deformed_poses) if poses is None else poses
         source_points = points.astype(np.float64) / self.gradients.source.scale
         lengths, angles = self.joint_metrics.lengths_and_angles(source_points)
-        frame = JointFrame(
-            lengths=lengths,
-            angles=angles,
-            length_weights=length_weights(self._rest_lengths),
-            part_vertices=part_vertices,
-            rotations=poses.rotations,
-            translations=poses.centres,
-            offsets=self.joint_solver.skinning_offsets(*deformed_poses, deformed),
-            offset_weights=self._offset_weights,
-        )
+        offsets = self.joint_solver.skinning_offsets(*deformed_poses, deformed)
+        return self._solve_joints(poses, part_vertices, lengths, angles, offsets)
+
+    @cached_property
+    def limb_turns(self) -> tuple[Float, Float]:
+        """Rotations ``(p, 3, 3)`` of parts at rest into the directions of the source's, and turns ``(p,)`` in degrees.
+
+        A part turns with its parent, and at its pivot if its direction differs much: the turn, else zero.
+        """
+        body, source_body, parts = self.body, self.source_body, self.parts.target.parts
+        matched = [part[self.gradients.correspondence.matched[part]] for part in parts]
+        carried, trunk = self.gradients.correspondence.interpolate(self.gradients.source.reference), matched[body.root]
+        turn_of_trunk = fit_alignment(carried[trunk], self._rest[trunk], np.ones(len(trunk))).rotation
+        rotations, degrees = np.tile(np.eye(3), (len(parts), 1, 1)), np.zeros(len(parts))
+        for part, (parent, pivot) in body.parents.items():
+            rotations[part] = rotations[parent]
+            if not len(matched[part]):
+                continue
+            arms = self._rest[matched[part]] - body.pivots[pivot]
+            arm = arms.mean(axis=0)
+            goal = turn_of_trunk @ (carried[matched[part]].mean(axis=0) - source_body.pivots[pivot])
+            turn = _turn_between(rotations[parent] @ arm, goal)
+            is_long = np.linalg.norm(arm) > np.linalg.norm(arms - arm, axis=1).mean()  # others have no direction
+            if is_long and np.linalg.norm(turn) > MIN_LIMB_TURN:
+                rotations[part] = rotvec_to_matrix(turn) @ rotations[parent]
+                degrees[part] = np.degrees(np.linalg.norm(turn))
+        return rotations, degrees
+
+    def turned_to_source(self) -> Float:
+        """Return the target ``(V', 3)`` at rest after `limb_turns`, with its shapes of parts and metrics of joints."""
+        body, solver, rotations = self.body, self.joint_solver, self.limb_turns[0]
+        gaps = np.zeros_like(body.pivots)
+        poses = PartPoses(rotations, self._pivot_solver.solve_centres(rotations, gaps, body.centres[body.root]))
+        angles = dihedral_angles(self._rest, self.gradients.target.topology.hinges[solver.joints.hinge_ids])
+        offsets = np.zeros((len(solver.joints.vertices), 3))
+        return self._solve_joints(poses, self.rest_shapes.shapes, self._rest_lengths, angles, offsets)
+
+    def _solve_joints(
+        self, poses: PartPoses, part_vertices: Float, lengths: Float, angles: Float, offsets: Float
+    ) -> Float:
+        """Return the target ``(V', 3)`` with posed parts and solved joints."""
+        weights = length_weights(self._rest_lengths), self._offset_weights
+        frame = JointFrame(lengths, angles, weights[0], part_vertices, *poses, offsets, weights[1])
         return self.joint_solver.solve(frame, self.settings)[0] * self.gradients.target.scale
 
     @cached_property
@@ -201,6 +238,13 @@ def mixed_transfer(
             joint_width,
         )
     return MixedTransfer(gradients, parts, settings)
+
+
+def _turn_between(first: Float, second: Float) -> Float:
+    """Return the least rotation vector ``(3,)`` that turns the direction of a vector to that of another."""
+    axis = np.cross(first, second)
+    sine = float(np.linalg.norm(axis))
+    return np.asarray(axis * (np.arctan2(sine, float(first @ second)) / sine if sine > 0 else 0.0))
 
 
 def _is_same_mesh(gradients: GradientTransfer) -> bool:

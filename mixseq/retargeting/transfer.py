@@ -14,6 +14,7 @@ from mixseq.choices import TRANSFERS, TransferName
 from mixseq.compression.numbering import match_headers
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.topology import Topology
+from mixseq.retargeting.checks import MIN_COMPARED_MARKERS, check_marker_vertices
 from mixseq.retargeting.contacts import ContactReport, PlantedMotion, plant_contacts
 from mixseq.retargeting.correspond import CorrespondenceQuality, RestMesh, correspond_and_assess
 from mixseq.retargeting.gradient_transfer import gradient_transfer
@@ -30,7 +31,7 @@ from mixseq.sequence.provenance import with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, block_size, check_frames, join_blocks
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.model import Model
-from mixseq.types import Float, FloatArray, evenly_spaced
+from mixseq.types import Float, FloatArray, Index, evenly_spaced
 
 
 class TransferMethod(Protocol):
@@ -78,12 +79,13 @@ class Transfer:
 
     header: SequenceHeader  # header of the result, with the target's mesh and the source's times
     source: SourceMotion  # frames and rest shape of the source
-    target: Float  # (V', 3) points of the target at rest
+    target: Float  # (V', 3) points of the target at rest, with limbs turned into the source's rest pose
     correspondence: Correspondence  # correspondence of source and target
     method: TransferMethod  # method that transfers frames
     quality: CorrespondenceQuality | None = None  # quality of a correspondence from markers
     proposal: Proposal | None = None  # proposed markers, if neither markers nor a map were needed or given
     planted: PlantedMotion | None = None  # motions of the parts after footskate cleanup, if there are contacts
+    turned: float = 0.0  # largest rotation of a limb of the target into the source's rest pose, in degrees
 
     @property
     def contacts(self) -> ContactReport:
@@ -136,21 +138,31 @@ def plan_transfer(
         rest = next(iter(target.blocks(1)))[0].astype(np.float64)
         topology = Topology(target.header.faces, target.header.vertex_count)
         correspondence, quality, proposal = _find_correspondence(source, rest, target.header, settings, progress)
-        _check_rest_poses(source, rest, correspondence)
         gradients = gradient_transfer(source.topology, source.rest, topology, rest, correspondence)
         header = target.header.with_times(source.header.times, source.header.fps)
         header = replace(header, provenance=with_other_motion(target.header.provenance))
+        poses, turned = compare_rest_poses(source, rest, correspondence), 0.0
         if settings.method == "gradients":
+            _warn_of_poses(source, poses)
             return Transfer(header, source, rest, correspondence, gradients, quality, proposal)
         progress(0, 1, "finding parts")
         shell = settings.shell or ShellSettings()
         mixed = mixed_transfer(gradients, source.points, source.part_of_face(), settings.joint_width, shell)
+        if poses.residual > MIN_POSE_DIFFERENCE:
+            posed = mixed.turned_to_source()
+            residual = compare_rest_poses(source, posed, correspondence).residual
+            if residual < min(MAX_TURNED_RATIO * poses.residual, poses.frame_residual):
+                rest, turned = posed, float(mixed.limb_turns[1].max())
+                gradients = gradient_transfer(source.topology, source.rest, topology, rest, correspondence)
+                mixed = replace(mixed, gradients=gradients)
+            else:
+                _warn_of_poses(source, poses)
         if not settings.contacts:
-            return Transfer(header, source, rest, correspondence, mixed, quality, proposal)
+            return Transfer(header, source, rest, correspondence, mixed, quality, proposal, None, turned)
         check_numbers(target.header, "contacts are numbers of vertices, and those of the target")
         run = workers or thread_executor()
         method, planted = plant_contacts(mixed, source.points, header, settings.contacts, run, progress)
-        return Transfer(header, source, rest, correspondence, method, quality, proposal, planted)
+        return Transfer(header, source, rest, correspondence, method, quality, proposal, planted, turned)
 
 
 def _find_correspondence(
@@ -179,18 +191,35 @@ def _find_correspondence(
         proposal = _propose(source, rest, header, progress)
         markers = proposal.markers
     pairs = markers if isinstance(markers, Markers) else Markers.from_pairs(markers)
-    source_mesh = MeshSequence.from_header(source.header.with_times([0.0]), source.rest[None])
+    check_marker_vertices(pairs, source.topology, Topology(header.faces, header.vertex_count))
+    posed = _most_similar_pose(source, rest, pairs)
+    source_mesh = MeshSequence.from_header(source.header.with_times([0.0]), posed[None])
     target_mesh = MeshSequence.from_header(header.with_times([0.0]), rest[None])
     return *correspond_and_assess(source_mesh, target_mesh, pairs, progress=progress), proposal
+
+
+def _most_similar_pose(source: SourceMotion, rest: Float, markers: Markers) -> Float:
+    """Return the source ``(V, 3)`` in the frame whose markers are much more like the target's at rest, or at rest."""
+    if len(markers) < MIN_COMPARED_MARKERS:
+        return source.rest
+    poses = _sample_source(source)[1]
+    residuals = similarity_residuals(poses[:, markers.source], rest[markers.target])
+    best = int(residuals.argmin())
+    is_much_better = residuals[0] > MAX_REGISTERED_RESIDUAL and residuals[best] < MAX_POSE_RATIO * residuals[0]
+    return np.asarray(poses[best if is_much_better else 0])
+
+
+def _sample_source(source: SourceMotion) -> tuple[Index, Float]:
+    """Return some frames ``(n,)``, and the poses ``(n + 1, V, 3)`` at rest and in these frames."""
+    frames = evenly_spaced(len(source.points), MAX_POSES - 1)
+    return frames, np.concatenate([source.rest[None], source.points[frames]])
 
 
 def _propose(source: SourceMotion, rest: Float, header: SequenceHeader, progress: Progress) -> Proposal:
     """Propose markers of a source and a target at rest ``(V', 3)``; raise SettingsError if they are not sure."""
     progress(0, 1, "proposing markers")
-    frames = source.points[evenly_spaced(len(source.points), MAX_POSES - 1)]
     target_topology = Topology(header.faces, header.vertex_count)
-    poses = np.concatenate([source.rest[None], frames])
-    proposal = propose_markers((poses, source.topology), (rest[None], target_topology))
+    proposal = propose_markers((_sample_source(source)[1], source.topology), (rest[None], target_topology))
     if proposal.doubt:
         raise SettingsError(
             f"the source has {source.header.vertex_count} vertices and {len(source.header.faces)} triangles, the "
@@ -202,6 +231,8 @@ def _propose(source: SourceMotion, rest: Float, header: SequenceHeader, progress
 
 MIN_POSE_DIFFERENCE = 0.1  # smallest residual of a rest pose that is warned about, relative to the body's radius
 MAX_POSE_RATIO = 0.7  # largest ratio of a frame's residual to that of a rest pose that is warned about
+MAX_TURNED_RATIO = 0.5  # largest ratio of the residual of turned limbs to that of a rest pose which they replace
+MAX_REGISTERED_RESIDUAL = 0.3  # largest residual of markers with which meshes are registered at rest in any case
 POSE_SAMPLES = 500  # number of vertices by which poses are compared
 
 
@@ -223,18 +254,16 @@ def compare_rest_poses(source: SourceMotion, rest: Float, correspondence: Corres
     """Compare the target at rest ``(V', 3)`` with the source at rest and in some frames."""
     vertex_ids = np.flatnonzero(correspondence.matched)
     vertex_ids = vertex_ids[evenly_spaced(len(vertex_ids), POSE_SAMPLES)]
-    frames = evenly_spaced(len(source.points), MAX_POSES)
+    frames, poses = _sample_source(source)
     corners, weights = correspondence.corners[vertex_ids], correspondence.weights[vertex_ids]
-    poses = np.concatenate([source.rest[None], source.points[frames]])
     points = np.einsum("vk,tvkc->tvc", weights, poses[:, corners])
     residuals = similarity_residuals(points, rest[vertex_ids])
     best = int(residuals[1:].argmin())
     return PoseComparison(float(residuals[0]), int(frames[best]), float(residuals[1 + best]))
 
 
-def _check_rest_poses(source: SourceMotion, rest: Float, correspondence: Correspondence) -> None:
-    """Warn if a frame of the source is much more like the target at rest ``(V', 3)`` than the source at rest."""
-    poses = compare_rest_poses(source, rest, correspondence)
+def _warn_of_poses(source: SourceMotion, poses: PoseComparison) -> None:
+    """Warn if a frame of the source is much more like the target at rest than the source at rest."""
     if poses.is_better:
         number = source.header.frame_number(poses.frame)
         warnings.warn(

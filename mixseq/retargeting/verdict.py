@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mixseq.mesh.measures import edge_lengths
-from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.checks import find_conflicts, find_suspicious_markers, fit_most_points, normalise_points
+from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.report import TransferReport
 from mixseq.retargeting.transfer import PoseComparison, Transfer, compare_rest_poses
 from mixseq.sequence.header import UP_AXES
@@ -191,29 +191,20 @@ def _largest_tear(transfer: Transfer) -> tuple[float, int]:
     return (float(tears[worst]), int(edges[worst, 0])) if len(tears) else (0.0, 0)
 
 
-MIN_PART_SHARE = 0.02  # smallest share of the vertices in a part that is compared
 MIN_NAMED_TURN_DEGREES = 25.0  # smallest rotation of a part that is named
 
 
 def _most_turned_part(transfer: Transfer) -> tuple[str, int | None]:
     """Return a text about the part that is turned most between the rest poses, and its middle vertex."""
-    parts, matched = transfer.method.parts, transfer.correspondence.matched
-    carried, rest = transfer.correspondence.interpolate(transfer.source.rest), transfer.target
-    body = fit_most_points(carried[matched], rest[matched])
-    best: tuple[float, Index] = (0.0, np.zeros(0, np.int64))
-    for part in () if parts is None else parts.target.parts:
-        vertices = part[matched[part]]
-        if len(vertices) > max(3, MIN_PART_SHARE * len(rest)):
-            x, y = (points[vertices] - points[vertices].mean(axis=0) for points in (carried, rest))
-            turn = kabsch(x, y)[0] @ body.T
-            degrees = math.degrees(math.acos(min(max((float(np.trace(turn)) - 1) / 2, -1.0), 1.0)))
-            best = max(best, (degrees, vertices), key=lambda each: each[0])
-    degrees, vertices = best
-    if degrees < MIN_NAMED_TURN_DEGREES:
+    if not isinstance(transfer.method, MixedTransfer):
         return "", None
-    middle = np.linalg.norm(rest[vertices] - rest[vertices].mean(axis=0), axis=1).argmin()
-    vertex = int(vertices[middle])
-    return f", {name_place(transfer, vertex)} is turned by {degrees:.0f} degrees", vertex
+    degrees = transfer.method.limb_turns[1]
+    vertices = transfer.method.parts.target.parts[int(degrees.argmax())]
+    if degrees.max() < MIN_NAMED_TURN_DEGREES:
+        return "", None
+    points = transfer.target[vertices]
+    vertex = int(vertices[np.linalg.norm(points - points.mean(axis=0), axis=1).argmin()])
+    return f", {name_place(transfer, vertex)} is turned by {degrees.max():.0f} degrees", vertex
 
 
 FRONT_AND_LEFT = {"X": ((1, 1), (2, 1)), "Y": ((2, 1), (0, 1)), "Z": ((1, -1), (0, 1))}

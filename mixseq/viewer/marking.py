@@ -5,15 +5,21 @@ Background jobs suggest markers, find the mirror symmetry of each body, and exam
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from string import ascii_uppercase
 from typing import Literal, Protocol
 
 import numpy as np
 
+from mixseq.errors import MixseqWarning
 from mixseq.retargeting.correspond import Examination, examine_markers
 from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.proposals import Mirror, propose_markers, sample_poses
+from mixseq.retargeting.report import measure_transfer
+from mixseq.retargeting.transfer import TransferSettings, plan_transfer
+from mixseq.retargeting.verdict import judge_transfer
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
 from mixseq.viewer.playback import JobQueue
@@ -95,6 +101,14 @@ class Marking:
         return replace(self, skipped=self.skipped | {pair.vertices})
 
 
+@dataclass(frozen=True)
+class Trial:
+    """Verdict on a transfer with the set pairs, and where to look at."""
+
+    verdict: str  # one line
+    places: tuple[tuple[str, int, str], ...]  # letters, vertices of the target and their problems
+
+
 def push_marking(history: UndoHistory[Marking], marking: Marking) -> UndoHistory[Marking]:
     """Return the history with a new state; a change of the selection alone adds no step."""
     if replace(marking, selected=None) == replace(history.current, selected=None):
@@ -153,6 +167,7 @@ class MarkingSession(JobQueue[Callable[[], None]]):
         self._mirrors: tuple[Mirror, Mirror] | None = None
         self._mirrored_pairs: dict[tuple[int, int], Pair | None] = {}
         self._examination: tuple[tuple[Pair, ...], Examination] | None = None
+        self._trial: tuple[tuple[Pair, ...], Trial] | None = None
         self.work = ""
         initial_jobs = [] if len(markers) else [self._suggest]
         super().__init__(listener.on_failure, [*initial_jobs, self._find_mirrors, self._examine])
@@ -176,6 +191,12 @@ class MarkingSession(JobQueue[Callable[[], None]]):
     def examination(self) -> Examination | None:
         """Examination of the current pairs, or None until it is computed."""
         result = self._examination
+        return result[1] if result is not None and result[0] == self.marking.pairs else None
+
+    @property
+    def trial(self) -> Trial | None:
+        """The last transfer that was tried, or None after a change of the pairs."""
+        result = self._trial
         return result[1] if result is not None and result[0] == self.marking.pairs else None
 
     @property
@@ -233,6 +254,10 @@ class MarkingSession(JobQueue[Callable[[], None]]):
         """Suggest markers again with the current pairs as known, including rejected suggestions."""
         self._apply(lambda marking: replace(marking, skipped=frozenset()))
         self._enqueue_once(self._suggest)
+
+    def try_transfer(self) -> None:
+        """Transfer the frames of the source with the current pairs, and judge the result."""
+        self._enqueue_once(self._try_transfer)
 
     def _apply(self, change: Callable[[Marking], Marking]) -> None:
         self._update_history(lambda history: push_marking(history, change(history.current)))
@@ -297,3 +322,16 @@ class MarkingSession(JobQueue[Callable[[], None]]):
         if pairs:
             self._set_work("finding a map")
             self._examination = pairs, examine_markers(*self._meshes, Marking(pairs).markers)
+
+    def _try_transfer(self) -> None:
+        self._set_work("trying a transfer")
+        pairs = self.marking.pairs
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MixseqWarning)  # the verdict says what is wrong
+            planned = plan_transfer(*self._meshes, TransferSettings(Marking(pairs).markers))
+            verdict = judge_transfer(planned, measure_transfer(planned))
+        found = [each for each in verdict.findings if each.vertex is not None]
+        whens = ("at rest" if each.frame is None else planned.header.frame_name(each.frame) for each in found)
+        rows = zip(ascii_uppercase, found, whens, strict=False)
+        places = tuple((letter, int(each.vertex or 0), f"{when}: {each.message}") for letter, each, when in rows)
+        self._trial = pairs, Trial(verdict.text, places)

@@ -108,10 +108,8 @@ class PoseTool:
         if not done.handles:
             return False
 
-        def edit(model: Model) -> Model:
-            seconds = None if len(model.times) == 1 else fade
-            return pose(model, done.handles, keep=done.pins, fade=seconds, exact=done.is_exact)
-
+        seconds = None if len(self._session.model.times) == 1 else fade  # a still has no motion to fade into
+        edit = partial(pose, handles=done.handles, keep=done.pins, fade=seconds, exact=done.is_exact)
         self._session.edit("pose", edit)
         return True
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from threading import Thread
 from typing import Annotated, Generic, Protocol, TypeVar
@@ -16,6 +17,7 @@ from msgspec.json import Decoder
 
 from mixseq.errors import OutputError
 from mixseq.operations.retiming import retime
+from mixseq.operations.script import format_script
 from mixseq.pictures.scene import Scene
 from mixseq.signals.model import Model
 from mixseq.viewer.playback import JobQueue, Playback
@@ -85,6 +87,8 @@ Transport = Seek | Play | Mark
 Message = Drawn | Transport | Drag | Sketch | Retime
 State = TypeVar("State")
 
+Edit = Callable[[Model], Model]
+
 _MESSAGE_DECODER: Decoder[Message] = Decoder(Message)
 
 
@@ -103,6 +107,7 @@ class Step:
     name: str  # name of the edit, such as "repeat"; empty for the opened model
     model: Model  # model after the edit
     keys: tuple[Point, ...] = ()  # keys of a retiming: output and source times in seconds
+    edit: Edit | None = None  # operation, or `functools.partial` object of an operation, that makes the model
     _fronts: dict[str, Model] = field(default_factory=dict)  # the model with each body in front that was shown
 
     def of_body(self, name: str) -> Model:
@@ -142,11 +147,9 @@ class UndoHistory(Generic[State]):
 EditHistory = UndoHistory[Step]
 HistoryChange = Callable[[EditHistory], EditHistory]
 
-Edit = Callable[[Model], Model]
-
-
-Save = Callable[[Path, Model, bool], str]
-"""Function that saves a model and returns a message; its last argument permits replacing an existing file."""
+Save = Callable[[Path, Model | str, bool], str]
+"""Function that saves a model, or the text of a script, and returns a message; its last argument permits replacing a
+file."""
 
 PREVIEW_TIMEOUT_SECONDS = 1.0
 """Time in seconds after which the next preview runs even if the previous preview was not shown."""
@@ -246,7 +249,7 @@ class Session(JobQueue[_Job]):
         body = self._bodies[self._index][1]
 
         def change(history: EditHistory) -> EditHistory:
-            return history.push(Step(name, edit(history.current.of_body(body))))
+            return history.push(Step(name, edit(history.current.of_body(body)), edit=edit))
 
         self._enqueue_change(name, change, preview)
 
@@ -255,7 +258,8 @@ class Session(JobQueue[_Job]):
 
         def change(history: EditHistory) -> EditHistory:
             before = history.undo() if history.current.keys else history
-            return before.push(Step("retime", retime(before.current.model, keys), tuple(keys)))
+            edit = partial(retime, keys=keys)
+            return before.push(Step("retime", edit(before.current.model), tuple(keys), edit))
 
         self._enqueue_change("retime", change, preview)
 
@@ -273,10 +277,11 @@ class Session(JobQueue[_Job]):
             self._enqueue_change("discard preview", lambda history: history)
 
     def save(self, path: Path, replace: bool = False) -> None:
-        """Save the model on a new thread, unless the session is closed; `replace` permits overwriting a file."""
-        thread = Thread(
-            target=self._write, args=(path, self._bodies[self._index], self.history.current, replace), daemon=True
-        )
+        """Save the model, or its edits as a script (.toml), on a new thread, unless the session is closed.
+
+        `replace` permits overwriting a file.
+        """
+        thread = Thread(target=self._write, args=(path, self._bodies[self._index], self.history, replace), daemon=True)
         with self._changed:
             if self._closed:  # a process may hang if it ends while HDF5 writes
                 return
@@ -289,10 +294,12 @@ class Session(JobQueue[_Job]):
             text = f"{MAX_CONCURRENT_SAVES} files are still being saved; try again when one is done"
             self._report_failure("save", OutputError(text))
 
-    def _write(self, path: Path, shown: tuple[int, str], step: Step, replace: bool) -> None:
-        first, body = shown
+    def _write(self, path: Path, shown: tuple[int, str], history: EditHistory, replace: bool) -> None:
+        (first, body), step = shown, history.current
         try:
-            message = self._save(path, step.of_body(body), replace)
+            edits = [each.edit for each in history.states[: history.index + 1] if each.edit is not None]
+            is_script = path.suffix.lower() == ".toml"
+            message = self._save(path, format_script(edits) if is_script else step.of_body(body), replace)
         except Exception as error:
             self._report_failure("save", error)
         else:

@@ -24,7 +24,7 @@ from mixseq.errors import MixseqWarning
 from mixseq.mesh.measures import edge_lengths
 from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.operations import Handle, pose
-from mixseq.operations.handles import DEFAULT_SOFTNESS, MIN_HANDLES_OF_FREE_BODY, weight_row
+from mixseq.operations.handles import DEFAULT_SOFTNESS, MIN_HANDLES_OF_FREE_BODY, DraggedPose, weight_row
 from mixseq.operations.pose_solvers import MIN_DEVIATION_RATIO, PoseSolver, StillSolver
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.spaces.gradient import SYMMETRIC_ENTRY_IDS, GradientSpace
@@ -149,15 +149,16 @@ def speeds(model: mixseq.Model, ids: Index, targets: Float, start: int) -> tuple
     """Return decoded poses per second on one core: solved from a frame, and dragged along a line in 20 steps."""
     when = float(model.times[start])
     solver = PoseSolver(model, rows_of(model, ids), DEFAULT_SOFTNESS, len(ids) >= MIN_HANDLES_OF_FREE_BODY)
-    begin, change = solver.positions(model(when)), solver.unchanged()
+    begin = model(when)[ids]
     solver.solve(when, begin)
+    handles = [Handle(when, place, int(vertex)) for vertex, place in zip(ids, begin, strict=True)]
+    dragged = DraggedPose(model, handles)
     with one_blas_thread():
         clock = time.process_time()
         solver.points(when, solver.solve(when, targets))
         once, clock = time.process_time() - clock, time.process_time()
         for fraction in np.arange(1, 21) / 20:
-            change = solver.solve(when, begin + fraction * (targets - begin), start=change, rounds=1)
-            solver.points(when, change)
+            dragged.points(begin + fraction * (targets - begin))
     return 1 / once, 20 / (time.process_time() - clock)
 
 

@@ -113,7 +113,9 @@ _EDITED = samples.beside(samples.EDITS, samples.KEYS, _ARM)
 READERS: Mapping[str, Reader] = {
     "h5": _reader(convert, _H5, written("walk.h5", velocities=True), has_checksums=True),
     "model": _reader(decode, _H5, _ARM, *_SPACES, samples.herd(), has_checksums=True),
-    "compressed": _reader(decode_compressed, _H5, samples.compressed("model.h5"), has_checksums=True),
+    "compressed": _reader(
+        decode_compressed, _H5, samples.compressed("model.h5"), samples.herd(is_compressed=True), has_checksums=True
+    ),
     "compressed-glb": _reader(
         decode_compressed,
         (damage_bytes, damage_json),

@@ -77,12 +77,13 @@ def model(**settings: Any) -> Sample:
     return Sample("model.h5", lambda folder: mixseq.save(folder / "model.h5", mixseq.fit(arm(), **settings)))
 
 
-def herd() -> Sample:
+def herd(is_compressed: bool = False) -> Sample:
     """Return a sample of a model of two bodies."""
 
     def save(folder: Path) -> None:
         fitted = mixseq.fit(arm(), exact=True)
-        mixseq.save(folder / "model.h5", with_body(fitted, key_poses(fitted), "another"))
+        both = with_body(fitted, key_poses(fitted), "another")
+        mixseq.save(folder / "model.h5", mixseq.compress(both, max_error=1e-4) if is_compressed else both)
 
     return Sample("model.h5", save)
 

@@ -314,6 +314,10 @@ def test_what_was_edited_is_saved(run: Run, room: Room, bar_model: Model, folder
         room.save(folder / "edited.usdc", edited, False)
     told = room.save(folder / "edited.usdc", edited, True)
     assert told == f"edited.usdc in {folder}"
+    room.save(folder / "edits.toml", '[[edit]]\noperation = "reverse"\n', False)
+    assert (folder / "edits.toml").read_text() == '[[edit]]\noperation = "reverse"\n'
+    with pytest.raises(OutputError, match=r"edits\.toml exists"):
+        room.save(folder / "edits.toml", "", False)
     for source in ("model.h5", "bar.npz"):
         before = (folder / source).read_bytes()
         with pytest.raises(OutputError, match="is the source itself"):

@@ -203,13 +203,12 @@ def test_one_site_stays_one() -> None:
 
 
 def test_lengths_of_steps_are_those_of_scores() -> None:
-    """In the modes of a fit coordinates are distances; in its keys they are the same ones."""
+    """In a fit, coordinates are distances."""
     sequence = bar(sides=5, rings=15, frames=6)
-    for pose in ("modes", "keys"):
-        model = fit(sequence, exact=True, pose=pose)
-        steps = np.diff(model.time(model.times), axis=0)
-        expected = np.linalg.norm(steps, axis=1) / np.sqrt(sequence.vertex_count)
-        np.testing.assert_allclose(shape_norm(model)(steps), expected, rtol=1e-9)
+    model = fit(sequence, exact=True)
+    steps = np.diff(model.time(model.times), axis=0)
+    expected = np.linalg.norm(steps, axis=1) / np.sqrt(sequence.vertex_count)
+    np.testing.assert_allclose(shape_norm(model)(steps), expected, rtol=1e-9)
 
 
 def test_vertices_that_move_alike_move_by_the_length() -> None:

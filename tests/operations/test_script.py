@@ -161,7 +161,16 @@ def test_keys_beyond_the_source_are_named_in_their_unit(edits: Edits, tmp_path: 
             table('operation = "drag"\ntime = 0\nto = [1, 2, 3]'),
             "a list of two numbers, x and y, is expected",
         ),
-        (table('operation = "drag"\ntime = 0\nto = [0, 0]\nplane = 1'), "its keys are time, to, reach$"),
+        (table('operation = "drag"\ntime = 0\nto = [0, 0]\nplan = 1'), "its keys are time, to, reach, plane$"),
+        *(
+            (table(f'operation = "drag"\ntime = 0\nto = [0, 0]\nplane = {plane}'), "a table of the lists origin, axes")
+            for plane in (
+                "1",
+                "{origin = [1], axes = [[1, 0]]}",
+                "{origin = [1], axes = [['x', 0]], directions = [[1, 0]]}",
+                "{origin = [1], axes = [[1, 0, 2]], directions = [[1, 0]]}",
+            )
+        ),
         (table('operation = "retime"\nkeys = [0, 1]'), r"keys is \[0, 1\]; pairs of output and source times"),
         (
             table('operation = "blend"\nb = "other.h5"\nweight = [[1, 1], [0, 1]]'),

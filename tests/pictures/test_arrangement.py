@@ -236,6 +236,7 @@ def test_a_turned_mesh_is_seen_from_another_azimuth() -> None:
     scene = scene_of(*SHOTS["unlike"])
     before = arrange_meshes(scene, side_by_side=True)
     found = before.turned(1, 40.0)
+    np.testing.assert_allclose(found.centres.mean(axis=0), before.centres.mean(axis=0), atol=1e-9)
     for index, turn in enumerate((0.0, 40.0, 0.0)):
         local = found.to_local(index, scene.items[index].pose(0.0)).astype(np.float64)
         seen = (placed(scene, found)[index][0] - found.offsets[index]) @ found.view.rotation.T

@@ -19,8 +19,9 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.markers import Correspondence, Markers
 from mixseq.retargeting.mixed_transfer import MixedTransfer
+from mixseq.retargeting.proposals import similarity_residuals
 from mixseq.retargeting.sources import prepare_source
-from mixseq.retargeting.transfer import TransferSettings, plan_transfer
+from mixseq.retargeting.transfer import TransferSettings, _most_similar_pose, plan_transfer
 from mixseq.runtime.parallel import serial_executor, thread_executor
 from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.signals.model import Model
@@ -430,3 +431,36 @@ def test_arguments_of_wrong_types_are_refused(wrong: str) -> None:
     meshes: dict[str, object] = {"source": SOURCE, "target": TARGET, wrong: SOURCE.points}
     with pytest.raises(TypeError, match=f"transfer: {wrong} is of type ndarray; MeshSequence or an open reader"):
         mixseq.transfer(**meshes)  # type: ignore[arg-type]
+
+
+TUBE = tube(10, 25)
+
+
+def bending_tube(*angles: float) -> MeshSequence:
+    return MeshSequence.from_arrays(np.stack([bent(TUBE[0], angle) for angle in angles]), TUBE[1], fps=24)
+
+
+def test_limbs_are_turned_into_the_rest_pose_of_the_source() -> None:
+    """The tube itself, in a pose that no frame of the source has: the transfer is the source."""
+    source = bending_tube(0.0, 0.3, 0.6, 0.9)
+    planned = plan_transfer(source, bending_tube(-0.8))
+    assert planned.turned == pytest.approx(np.degrees(0.8), abs=4)
+    moved = np.concatenate(list(planned.blocks(workers=serial_executor)))
+    assert max(similarity_residuals(a[None], b)[0] for a, b in zip(moved, source.points, strict=True)) < 0.04
+    assert similarity_residuals(bent(TUBE[0], -0.8)[None], TUBE[0])[0] > 0.2  # what would be off throughout
+
+
+def test_limbs_are_not_turned_where_poses_are_alike_or_a_frame_is_more_alike() -> None:
+    for target in (bending_tube(-0.1), bending_tube(0.9)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MixseqWarning)
+            planned = plan_transfer(bending_tube(0.0, 0.3, 0.6, 0.9), target)
+        assert not planned.turned
+        assert np.array_equal(planned.target, target.points[0])
+
+
+def test_markers_are_registered_in_the_frame_that_is_most_like_the_target() -> None:
+    source = prepare_source(bending_tube(1.4, 0.7, 0.0))
+    markers = Markers.from_pairs(np.repeat(np.arange(0, 240, 24)[:, None], 2, axis=1))
+    assert np.array_equal(_most_similar_pose(source, bent(TUBE[0], 1.2), markers), source.rest)
+    assert np.array_equal(_most_similar_pose(source, bent(TUBE[0], 0.1), markers), source.points[2:][0])

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.proposals import Proposal
+from mixseq.viewer.live.marking import make_balls
 from mixseq.viewer.marking import SOURCE, TARGET, MarkingSession
 from tests.retargeting.foxes import on_bones, short, tall
 from tests.retargeting.test_examination import MARKED, set_markers
@@ -128,6 +130,27 @@ def test_pairs_are_examined_from_ten_on(listener: Listener) -> None:
         found = eventually(lambda: session.examination)
         assert found.residuals is not None
         assert len(found.residuals) == len(MARKED) - 1
+
+
+def test_a_tried_transfer_has_a_verdict_and_places_until_pairs_change(listener: Listener) -> None:
+    markers = set_markers(*MARKED)
+    wrong = replace(markers, target=markers.target.copy())
+    wrong.target[MARKED.index("thigh.r")] = on_bones(tall(), "neck")[0]
+    with MarkingSession(short().mesh, tall().mesh, wrong, listener) as session:
+        assert session.trial is None
+        session.try_transfer()
+        found = eventually(lambda: session.trial)
+        assert found.verdict.startswith("check: the target is 1.1e+02 times as large as the source")
+        letter, vertex, text = found.places[0]
+        assert letter == "A"
+        assert vertex in wrong.target
+        assert text.startswith("at rest: ")
+        assert "thigh.r" in text
+        ball = list(make_balls(session.marking, (), frozenset(), TARGET, found))[len(MARKED)]
+        assert (ball.vertex, ball.text) == (vertex, "A")
+        session.click_ball(SOURCE, 0)
+        session.delete()
+        assert session.trial is None
 
 
 def test_what_fails_is_told_and_the_session_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator
+from functools import cache, partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
@@ -11,8 +13,11 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
+import mixseq
+from mixseq import operations
 from mixseq.errors import SettingsError
 from mixseq.operations import Handle, key_poses, pose, with_body
+from mixseq.operations.script import Readers, read_script
 from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.sequence.sequence import MeshSequence
@@ -38,6 +43,12 @@ TIME, FADE = 0.3, 0.2
 def target(amount: float = 0.7, model: Model | None = None, time: float = TIME) -> Float:
     """Where the tip is dragged to."""
     return np.asarray((model or chain())(time)[TIP] + amount * np.array([0.05, 0.1, 0.0]))
+
+
+@cache
+def resting() -> Model:
+    """The first frame alone."""
+    return fit(MeshSequence.from_arrays(chain()(0.0)[None], MESH[1], fps=10), exact=True, parts=chain().parts)
 
 
 class Posing:
@@ -117,6 +128,46 @@ def test_a_pose_becomes_the_edit_of_a_script(opened: Callable[..., Posing]) -> N
     eventually(lambda: posing.room.session.model is chain())
 
 
+@pytest.mark.parametrize("still", [False, True])
+def test_a_script_of_all_edits_gives_the_same_model(opened: Callable[..., Posing], tmp_path: Path, still: bool) -> None:
+    opened_model = resting() if still else chain()
+    posing = opened(opened_model)
+    session, room = posing.room.session, posing.room
+    count = 1
+    if not still:
+        plane = chain().plane
+        to = chain().embedding([0.5], plane)[0] + 0.01
+        session.edit("drag", partial(operations.drag, time=0.5, to=tuple(to), reach=0.2, plane=plane))
+        session.edit("drag", partial(operations.drag, time=0.2, to=tuple(to), reach=0.1, plane=plane))
+        session.edit("hold", partial(operations.hold, part=1, time=0.5, start=0.1, end=0.4))
+        session.edit("reverse", operations.reverse)
+        session.retime([(0.0, 0.0), (0.9, 0.8)])
+        count = 6
+        room.done(5)
+    time = 0.0 if still else TIME
+    posing.tool.toggle(BASE)
+    posing.tool.drag(TIP, target(0.3, session.model, time), time)
+    posing.tool.apply(FADE)
+    room.done(count)
+    session.undo()
+    session.redo()
+    room.done(count + 2)
+    assert not room.told.failures
+    session.save(tmp_path / "edits.toml")
+    eventually(lambda: room.written)
+    (tmp_path / "edits.toml").write_text(str(room.written[0][1]))
+    edited = opened_model
+    for edit in read_script(tmp_path / "edits.toml", Readers(mixseq.load, mixseq.read)):
+        edited = edit(edited)
+    np.testing.assert_array_equal(edited.sample().points, session.model.sample().points)
+
+
+def test_a_script_without_edits_is_refused(opened: Callable[..., Posing], tmp_path: Path) -> None:
+    room = opened(chain()).room
+    room.session.save(tmp_path / "edits.toml")
+    eventually(lambda: room.told.failures == [("save", "there are no edits yet; make one")])
+
+
 def test_exact_handles_are_where_the_pointer_is(opened: Callable[..., Posing]) -> None:
     posing = opened(chain())
     far = target(16.0)
@@ -150,7 +201,7 @@ def test_a_pending_pose_is_shown_again_after_another_edit(opened: Callable[..., 
 
 
 def test_a_still_becomes_another_still(opened: Callable[..., Posing]) -> None:
-    still = fit(MeshSequence.from_arrays(chain()(0.0)[None], MESH[1], fps=10), exact=True, parts=chain().parts)
+    still = resting()
     posing, place = opened(still), target(model=still, time=0.0)
     posing.tool.toggle(BASE)
     posing.tool.drag(TIP, place, 0.0)

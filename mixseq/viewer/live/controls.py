@@ -177,7 +177,11 @@ class SaveControls:
         self._folder = folder
         self._save = save
         with gui.add_folder("Save"):
-            self._name = gui.add_text("File", name, hint=f"A model (.h5), or a sequence in any format, in {folder}")
+            self._name = gui.add_text(
+                "File",
+                name,
+                hint=f"A model (.h5), a sequence in any format, or a script of the edits (.toml), in {folder}",
+            )
             self._replace = gui.add_checkbox("Replace", False, hint="Replace an existing file")
             self._button = gui.add_button("Save")
         self._button.on_click(self._clicked)

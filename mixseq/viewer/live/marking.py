@@ -28,7 +28,7 @@ from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.controls import notify_all
 from mixseq.viewer.live.stage import LiveStage, quaternion, srgb_to_linear
 from mixseq.viewer.live.viewer import add_bridge, run_server
-from mixseq.viewer.marking import SOURCE, TARGET, Certainty, Marking, MarkingSession, Pair
+from mixseq.viewer.marking import SOURCE, TARGET, Certainty, Marking, MarkingSession, Pair, Trial
 from mixseq.viewer.playback import Playback
 from mixseq.viewer.session import Drawn, Message
 
@@ -49,6 +49,9 @@ PROPOSAL_COLOURS: dict[Certainty, tuple[int, int, int]] = {
     "between": (49, 104, 142),
     "unsure": (230, 120, 0),
 }
+
+PLACE_COLOUR = (201, 42, 42)
+"""Colour of places to look at after a transfer is tried."""
 
 LABEL_SIZE_RATIO = 4.0
 """Width and height of the room of a label, in radii of a ball."""
@@ -106,8 +109,10 @@ class Ball:
     scale: float  # relative radius
 
 
-def make_balls(marking: Marking, proposals: Sequence[Pair], suspects: frozenset[int], side: int) -> Iterator[Ball]:
-    """Yield the balls of one mesh; numbers of suspicious pairs are marked by ``!``."""
+def make_balls(
+    marking: Marking, proposals: Sequence[Pair], suspects: frozenset[int], side: int, trial: Trial | None = None
+) -> Iterator[Ball]:
+    """Yield the balls of one mesh; numbers of suspicious pairs are marked by ``!``, places to look at by letters."""
     for number, pair in enumerate(marking.pairs):
         text = f"{number + 1}{'!' if number in suspects else ''}"
         scale = SELECTED_SCALE if number == marking.selected else 1.0
@@ -118,6 +123,8 @@ def make_balls(marking: Marking, proposals: Sequence[Pair], suspects: frozenset[
     for place, pair in enumerate(proposals):
         colour = PROPOSAL_COLOURS[pair.certainty]
         yield Ball(pair.vertices[side], "" if place else "?", colour, 0.8 if place else 1.2)
+    for letter, vertex, _ in () if trial is None or side == SOURCE else trial.places:
+        yield Ball(vertex, letter, PLACE_COLOUR, SELECTED_SCALE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,6 +305,7 @@ class MarkingControls:
             across = gui.add_button("Other mesh", hint="View the same point of the other mesh (key O)")
         with gui.add_folder("Map"):
             self._map = gui.add_html("")
+            trying = gui.add_button("Try transfer", hint="Transfer frames of the source, and show where to look")
         with gui.add_folder("Save"):
             self._saved = gui.add_html("")
             button = gui.add_button("Save")
@@ -307,6 +315,7 @@ class MarkingControls:
         for group in (steps, proposals):
             group.on_click(lambda _, by=group: self._do(by.value))
         button.on_click(lambda _: save())
+        trying.on_click(lambda _: session.try_transfer())
         for label, key, modifier in (  # viser moves the camera with W, A, S, D, Q and E
             ("Undo", "Z", "cmd/ctrl"),
             ("Redo", "Z", "cmd/ctrl+shift"),
@@ -329,7 +338,9 @@ class MarkingControls:
         self._proposal_line.content = _lines(
             "mixseq-proposed", [_proposal_text(proposals, session.work, session.doubt)]
         )
-        self._map.content = _lines("mixseq-map", _map_lines(marking, examination, session.work))
+        self._map.content = _lines(
+            "mixseq-map", [*_trial_lines(session.trial), *_map_lines(marking, examination, session.work)]
+        )
         state = "unsaved changes" if session.has_changes else "no unsaved changes"
         self._saved.content = _lines("mixseq-saved", [escape(f"{self._file}: {state}")])
 
@@ -385,6 +396,13 @@ def _map_lines(marking: Marking, examination: Examination | None, work: str) -> 
     warnings = [f'<b style="color: #c92a2a">{escape(each.message)}</b>' for each in examination.suspicions]
     verdict = warnings or ["<b>No pair seems wrong</b>"] * (examination.residuals is not None)
     return [*verdict, *lines]
+
+
+def _trial_lines(trial: Trial | None) -> list[str]:
+    if trial is None:
+        return []
+    places = [f"{_dot(PLACE_COLOUR)}<b>{letter}</b> {escape(text)}" for letter, _, text in trial.places]
+    return [f"<b>{escape(trial.verdict)}</b>", *places]
 
 
 def _format_number(number: int) -> str:
@@ -457,7 +475,9 @@ class MarkingViewer:
             examination = session.examination
             suspects = frozenset() if examination is None else examination.suspects
             for side in (SOURCE, TARGET):
-                self._balls.draw(side, list(make_balls(session.marking, session.proposals, suspects, side)))
+                self._balls.draw(
+                    side, list(make_balls(session.marking, session.proposals, suspects, side, session.trial))
+                )
             controls.show()
 
     def on_failure(self, action: str, error: Exception) -> None:

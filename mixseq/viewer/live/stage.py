@@ -162,7 +162,8 @@ class LiveStage:
 
     def set_view(self, view: View, turns: tuple[float, ...]) -> None:
         """Set the view of the camera, and the turn of each mesh."""
-        self._rearrange(lambda arrangement: replace(arrangement, view=view, turns=turns).side_by_side())
+        middle = self.arrangement.centres.mean(axis=0)
+        self._rearrange(lambda arrangement: replace(arrangement, view=view, turns=turns).side_by_side(middle))
         self._update_cameras()
 
     def _follow_camera(self, camera: Any) -> None:
@@ -343,10 +344,9 @@ class LiveStage:
             if sent is None:
                 return
             sent.is_there |= monotonic() > sent.time + ARRIVAL_SECONDS
-            is_unmoved = all(
-                np.allclose(seen, known, rtol=1e-3, atol=1e-3)
-                for seen, known in ((camera.position, sent.position), (camera.look_at, sent.target))
-            )
+            initial, seen = self._server.initial_camera, (camera.position, camera.look_at)
+            known = (sent.position, sent.target), (initial.position, initial.look_at)  # a page may return to the latter
+            is_unmoved = any(np.allclose(seen, each, rtol=1e-3, atol=1e-3) for each in known)
             # A page connects before its panels dock, which changes the aspect ratio of the viewport.
             if (is_unmoved or not sent.is_there) and abs(camera.aspect / sent.aspect - 1) > 0.02:
                 self._update_camera(client)

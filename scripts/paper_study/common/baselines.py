@@ -103,7 +103,7 @@ class Skinned(Registered):
 
     @cached_property
     def skin(self) -> mixseq.Skin:
-        frames = np.concatenate([self.poses.points, self.poses.telling])
+        frames = np.concatenate([self.poses.points, self.poses.sampled_frames])
         return mixseq.fit_skin(mixseq.MeshSequence.from_arrays(frames, self.poses.sequence.faces))
 
     def prepare(self) -> None:

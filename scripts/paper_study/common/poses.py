@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple
@@ -77,15 +77,14 @@ class Poses:
     topology: Topology
 
     @classmethod
-    def of(cls, mesh: str, frames: tuple[int, ...] | None = None) -> Poses:
-        """Take poses out of an animation, by default the pair of `MESHES`."""
+    def of(cls, mesh: str) -> Poses:
+        """Take the pair of a mesh out of its animation."""
         source = ALL[mesh]
         sequence = animation(source.animation)
         if source.fine:
             sequence = mixseq.MeshSequence.from_arrays(*subdivided(sequence))
-        frames = source.pair if frames is None else frames
-        points = sequence.points[list(frames)].astype(np.float64)
-        return cls(mesh, frames, points, sequence, Topology(sequence.faces, sequence.vertex_count))
+        points = sequence.points[list(source.pair)].astype(np.float64)
+        return cls(mesh, source.pair, points, sequence, Topology(sequence.faces, sequence.vertex_count))
 
     @property
     def rank(self) -> tuple[int, int]:
@@ -97,12 +96,11 @@ class Poses:
 
     def moved(self, points: Float) -> Poses:
         """Return the same with other vertices."""
-        return Poses(self.mesh, self.frames, points, self.sequence, self.topology)
+        return replace(self, points=points)
 
     def only(self, *frames: int) -> Poses:
         """Return other frames of the same animation."""
-        points = self.sequence.points[list(frames)].astype(np.float64)
-        return Poses(self.mesh, frames, points, self.sequence, self.topology)
+        return replace(self, frames=frames, points=self.sequence.points[list(frames)].astype(np.float64))
 
     @property
     def title(self) -> str:
@@ -115,14 +113,14 @@ class Poses:
         return bounding_diagonal(self.points[0]) or 1.0
 
     @property
-    def telling(self) -> Float:
+    def sampled_frames(self) -> Float:
         """Frames ``(T, V, 3)`` of the whole animation that parts are found from."""
         step = max(1, -(-len(self.sequence) // MAX_FRAMES))
         return self.sequence.points[::step].astype(np.float64)
 
     def segmented(self, parts: int | None = None) -> Index:
         """Return the parts ``(F,)`` by motion, over the whole animation."""
-        return segment_by_motion(self.telling, self.topology, parts, MotionSettings())
+        return segment_by_motion(self.sampled_frames, self.topology, parts, MotionSettings())
 
     @cached_property
     def lengths(self) -> Float:

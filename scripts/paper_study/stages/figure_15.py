@@ -41,7 +41,7 @@ def measure(poses: Poses, folder: Path, say: Say) -> Json:
     found: Json = {}
     rows: list[list[Panel]] = [[], [], []]
     by_motion: Index | None = None
-    makers = {name: partial(segment, poses.telling, poses.topology, name) for name in METHODS}
+    makers = {name: partial(segment, poses.sampled_frames, poses.topology, name) for name in METHODS}
     for name, make in (makers | ({"hand": partial(by_hand, poses)} if poses.mesh in HAND else {})).items():
         seconds, labels = cpu_timed(make)
         by_motion = labels if by_motion is None else by_motion
