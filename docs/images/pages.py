@@ -30,7 +30,6 @@ from mixseq.web import package_files
 HERE = Path(__file__).parent
 SIZE = {"width": 1280, "height": 800}
 ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
-COLOURS = 160
 FILM_CROP = (364, 130, 1280, 640)
 """Mesh and controls: left, upper, right and lower edge in pixels."""
 
@@ -168,7 +167,7 @@ def take_player(page: Page, folder: str) -> None:
 def save(page: Page, name: str) -> None:
     """Keep what a page shows, in few colours."""
     picture = Image.open(BytesIO(page.screenshot(timeout=60_000))).convert("RGB")
-    packed = picture.quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
+    packed = picture.quantize(256, method=Image.Quantize.MEDIANCUT, kmeans=3, dither=Image.Dither.NONE)  # no bands
     packed.save(HERE / name, optimize=True)
     print(f"{name}: {(HERE / name).stat().st_size / 1000:.0f} kB")
 

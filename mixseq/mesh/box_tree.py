@@ -283,18 +283,18 @@ def triangle_corners(points: FloatArray, faces: IntArray) -> Float:
             f"points of shape {points.shape} and faces of shape {faces.shape} are not a triangle mesh; "
             "give points (V, 3) and faces (F, 3)"
         )
-    is_invalid = ((faces < 0) | (faces >= len(points))).any(axis=1)
+    is_invalid = (faces < 0) | (faces >= len(points))
     if is_invalid.any():
-        face = int(is_invalid.argmax())
+        face = int(is_invalid.any(axis=1).argmax())
         raise InvalidSequenceError(
             f"triangle {face} has vertices {faces[face].tolist()}, but there are {len(points)} points; "
             f"vertices are numbered from 0 to {len(points) - 1}"
         )
     corners = np.ascontiguousarray(points[faces], dtype=np.float64)
-    is_infinite = ~np.isfinite(corners).all(axis=(1, 2))
-    if is_infinite.any():
+    is_finite = np.isfinite(corners)
+    if not is_finite.all():
         raise InvalidSequenceError(
-            f"triangle {int(is_infinite.argmax())} has a corner that is not finite; give finite points"
+            f"triangle {int(is_finite.all(axis=(1, 2)).argmin())} has a corner that is not finite; give finite points"
         )
     return corners
 
@@ -324,7 +324,8 @@ class BoxTree:
 
         Equal triangles give equal trees. The order decides how fast a search is, and not what it finds.
         """
-        low, high = corners.min(axis=1), corners.max(axis=1)
+        a, b, c = corners.transpose(1, 0, 2)  # NumPy reduces short axes slowly
+        low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
         depth = max((len(corners) - 1) // MAX_LEAF_TRIANGLES, 0).bit_length()
         order = _tree_order(low + high, depth) if order is None else order
         leaf_starts = _range_starts(len(corners), 1 << depth)
@@ -366,7 +367,7 @@ def _node_boxes(low: Float, high: Float, leaf_starts: Index) -> Float:
         boxes[leaves:, 3:] = np.maximum.reduceat(high, leaf_starts[:-1])
     while leaves > 1:
         leaves //= 2
-        children = boxes[2 * leaves : 4 * leaves].reshape(leaves, 2, 6)
-        boxes[leaves : 2 * leaves, :3] = children[:, :, :3].min(axis=1)
-        boxes[leaves : 2 * leaves, 3:] = children[:, :, 3:].max(axis=1)
+        first, second = boxes[2 * leaves : 4 * leaves : 2], boxes[2 * leaves + 1 : 4 * leaves : 2]
+        boxes[leaves : 2 * leaves, :3] = np.minimum(first[:, :3], second[:, :3])
+        boxes[leaves : 2 * leaves, 3:] = np.maximum(first[:, 3:], second[:, 3:])
     return boxes

@@ -8,6 +8,7 @@ Usage: MIXSEQ_THREADS=1 scripts/bench speed [NAME ...]   (animations of $MIXSEQ_
 
 from __future__ import annotations
 
+import lzma
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +22,8 @@ from pxr import Usd, UsdGeom, Vt
 from scipy.interpolate import make_interp_spline
 
 import mixseq
+from mixseq.compression.bitstream.signal_coder import Writer, code_numbers, new_number_models
+from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.types import Float, FloatArray, IntArray
 from scripts.benchmarks.common.dembones import fit_peer
 from scripts.benchmarks.common.harness import MIXSEQ, Child, animation, cpu_timed, print_table, run
@@ -69,7 +72,7 @@ def rows(name: str) -> Iterator[tuple[str, ...]]:
     """Measure an animation."""
     sequence = animation(name)
     with tempfile.TemporaryDirectory() as folder:
-        for measure in (code, start, load, fit, skin, sample, resample, transfer, write, batch):
+        for measure in (code, entropy, start, load, fit, skin, sample, resample, transfer, write, batch):
             for row in measure(name, sequence, Path(folder)):
                 ratio = row.ours / row.its if row.is_rate else row.its / row.ours
                 figures = f"{row.ours:.3g}", row.peer, f"{row.its:.3g}", f"{ratio:.2f}"
@@ -96,6 +99,24 @@ def coded(coder: Coder, sequence: mixseq.MeshSequence, setting: Any) -> tuple[fl
     away = np.sqrt(np.square(points - sequence.points.astype(np.float64)).sum(axis=2).max())
     bits = 8 * coder.signals(mesh, data) / sequence.points[..., 0].size
     return bits, encoding, decoding, float(away) / sequence.diagonal
+
+
+def entropy(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
+    """Write the change of a coordinate from frame to frame, in whole steps of the bound, in both entropy coders."""
+    graph = mesh_graph(sequence.faces, sequence.vertex_count)
+    steps = np.diff(sequence.points[:, graph.order, 0], axis=0) / (MAX_ERROR * sequence.diagonal)
+    numbers = np.rint(steps).astype(np.int64)
+    unknown = np.zeros(graph.size, dtype=np.int64)
+
+    def write() -> None:
+        writer, models = Writer(), new_number_models()
+        for age, own in enumerate(numbers):
+            stream = writer.reserve(graph.size)
+            code_numbers(stream, models, age, graph.neighbours, graph.counts, unknown, unknown, unknown, own)
+        writer.finish()
+
+    ours, theirs = medians(write, lambda: lzma.compress(numbers.astype(np.int16).tobytes()))
+    yield Row("entropy coder, ns a number", 1e9 * ours / numbers.size, "lzma", 1e9 * theirs / numbers.size)
 
 
 def start(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.triangle_mesh import TriangleMesh
+from mixseq.retargeting import registration
 from mixseq.retargeting.markers import Markers, fit_similarity, pair_components
 from mixseq.retargeting.registration import (
     Energy,
@@ -17,7 +18,7 @@ from mixseq.retargeting.registration import (
     register,
 )
 from mixseq.types import Float
-from tests.meshes import Mesh, bent, joined, rotation, topology_of, torus, tube
+from tests.meshes import Mesh, bent, grid, joined, rotation, topology_of, torus, tube
 
 pytestmark = pytest.mark.slow
 
@@ -85,9 +86,37 @@ def test_energy_is_invariant_to_similarities() -> None:
     goals = mesh[0] @ turned.T + [1.0, 2, 3]
     marked = np.array([[0], [30], [60], [77]])
     pull = SoftConstraints(marked, np.ones((4, 1)), goals[marked[:, 0]], np.full(4, 1e3))
-    points, maps = energy.minimise(1.0, np.broadcast_to(turned, (len(goals), 3, 3)), [pull])
-    np.testing.assert_allclose(points, goals, atol=1e-8)
-    np.testing.assert_allclose(maps, np.broadcast_to(turned, maps.shape), atol=1e-8)
+    found = energy.minimise(1.0, np.broadcast_to(turned, (len(goals), 3, 3)), [pull])
+    np.testing.assert_allclose(found.points, goals, atol=1e-8)
+    np.testing.assert_allclose(found.maps, np.broadcast_to(turned, found.maps.shape), atol=1e-8)
+
+
+def test_a_kept_factor_refines_a_deformation_to_the_minimum(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three further vertices change the matrix by rank 3, so that four conjugate gradients reach the minimum."""
+    energy = Energy(surface(torus(12, 8)))
+    points, identity = energy.mesh.points, np.broadcast_to(np.eye(3), (96, 3, 3))
+    few, more = (
+        SoftConstraints(np.array(ids)[:, None], np.ones((len(ids), 1)), 1.1 * points[ids], np.ones(len(ids)))
+        for ids in ([0, 20, 40, 60, 80], [0, 20, 40, 60, 80, 10, 50, 90])
+    )
+    before = energy.minimise(0.1, identity, [few])
+    exact = energy.minimise(0.1, before.maps, [more]).points
+    distances = []
+    for count in (1, 4):
+        monkeypatch.setattr(registration, "REFINEMENT_STEPS", count)
+        refined = energy.minimise(0.1, before.maps, [more], before).points
+        distances.append(np.abs(refined - exact).max() / np.abs(before.points - exact).max())
+    assert distances[0] < 0.7 and distances[1] < 1e-6
+
+
+def test_a_refined_flat_mesh_stays_flat() -> None:
+    """Across the mesh there is no residual, by which conjugate gradients would divide."""
+    points, faces = grid(4, 4)
+    points = points * [1.0, 1.0, 0.0]
+    energy, corners = Energy(surface((points, faces))), np.array([[0], [3], [12]])
+    pull = SoftConstraints(corners, np.ones((3, 1)), 1.2 * points[corners[:, 0]], np.ones(3))
+    flat = energy.minimise(1.0, np.broadcast_to(np.eye(3), (len(points), 3, 3)), [pull])
+    np.testing.assert_array_equal(energy.minimise(1.0, flat.maps, [pull], flat).points[:, 2], 0.0)
 
 
 def test_a_pull_on_a_triangle_is_a_pull_on_its_point() -> None:
@@ -98,7 +127,7 @@ def test_a_pull_on_a_triangle_is_a_pull_on_its_point() -> None:
     moved = mesh[0] + np.array([0.5, 0.0, -1.0])
     goals = np.einsum("nk,nkc->nc", weights, moved[corners])
     identity = np.broadcast_to(np.eye(3), (len(mesh[0]), 3, 3))
-    points, _ = energy.minimise(1.0, identity, [SoftConstraints(corners, weights, goals, np.ones(4))])
+    points = energy.minimise(1.0, identity, [SoftConstraints(corners, weights, goals, np.ones(4))]).points
     np.testing.assert_allclose(points, moved, atol=1e-8)
 
 
@@ -110,7 +139,7 @@ def test_keys_of_large_meshes_have_more_than_32_bits() -> None:
     thirds, weights = np.full(corners.shape, 1 / 3), np.full(len(corners), 1 / len(corners))
     goals = energy.mesh.points[corners].mean(axis=1) + shift
     identity = np.broadcast_to(np.eye(3), (len(energy.mesh.points), 3, 3))
-    points, _ = energy.minimise(1.0, identity, [SoftConstraints(corners, thirds, goals, weights)])
+    points = energy.minimise(1.0, identity, [SoftConstraints(corners, thirds, goals, weights)]).points
     np.testing.assert_allclose(points, energy.mesh.points + shift, atol=1e-9)
 
 

@@ -259,23 +259,39 @@ def drag(callback: Callable[[Any], Any], start: Float, *ends: Float) -> None:
 
 def test_a_drag_of_the_mesh_moves_the_nearest_vertex_by_as_much(stage: LiveStage) -> None:
     seen: list[tuple[int, int, Float]] = []
+
+    def take(*dragged: Any) -> bool:
+        seen.append(dragged)
+        return True
+
     callback = stage._drag_callback(0, None)
     place = stage.arrangement.to_scene(0, tetrahedron()[0])[2] + 0.01
     drag(callback, place, place + 1.0)
     assert not seen, "the camera turns as long as nothing is set"
-    stage.set_dragging(lambda *dragged: seen.append(dragged))
+    stage.set_dragging(take)
     shift = np.array([0.1, 0.2, -0.3])
     drag(callback, place, place + 0.5 * shift, place + shift)
     assert [(index, vertex) for index, vertex, _ in seen] == [(0, 2)] * 3
     in_scene = stage.arrangement.to_scene(0, np.array([each for _, _, each in seen]))
     expected = stage.arrangement.to_scene(0, tetrahedron()[0])[2] + np.outer([0, 0.5, 1], shift)
     np.testing.assert_allclose(in_scene, expected, atol=1e-5)
+    stage.set_dragging(lambda *_: False)
+    seen.clear()
+    drag(callback, place, place + shift)
+    stage.set_dragging(take)
+    asyncio.run(callback(SimpleNamespace(phase="update", client_id=1, end_position=tuple(place))))
+    assert not seen, "a drag went on that was refused"
 
 
 def test_balls_are_grabbed_nearby_and_clicked(stage: LiveStage) -> None:
     seen: list[int] = []
     clicked: list[int] = []
-    stage.set_dragging(lambda _, vertex, target: seen.append(vertex))
+
+    def take(mesh: int, vertex: int, target: Float) -> bool:
+        seen.append(vertex)
+        return True
+
+    stage.set_dragging(take)
     stage.set_handles(0, {3: (1, 2, 3), 1: (4, 5, 6)}, clicked.append)
     points = stage.arrangement.to_scene(0, tetrahedron()[0])
     assert [tuple(ball.position) for ball in stage._handle_balls] == [tuple(points[3]), tuple(points[1])]

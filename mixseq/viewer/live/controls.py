@@ -295,15 +295,16 @@ HANDLE_COLOUR = (230, 120, 0)
 class PoseControls:
     """Controls that pose the edited model by dragging its mesh."""
 
-    def __init__(self, server: Any, session: Session, playback: Playback, stage: LiveStage) -> None:
+    def __init__(
+        self, server: Any, session: Session, playback: Playback, stage: LiveStage, fade: Callable[[], float]
+    ) -> None:
         gui = server.gui
-        self._server, self._session, self._playback, self._stage = server, session, playback, stage
+        self._server, self._session, self._playback, self._stage, self._fade = server, session, playback, stage, fade
         self._tool = PoseTool(session)
         self._on = gui.add_checkbox("Pose", False, hint="Drag points of the mesh; a click pins one. Enter applies")
         self._exact = gui.add_checkbox("Exact", False, visible=False, hint="Deform the mesh where poses do not reach")
         self._buttons = gui.add_button_group("Pose", ("Apply", "Cancel"), visible=False)
         self._text = gui.add_html("", visible=False)
-        self._reach = 0.0
         self.is_on = False  # whether the mouse poses the mesh
         self._on.on_update(lambda _: self.set_on(bool(self._on.value)))
         self._exact.on_update(lambda _: self._tool.set_exact(self._exact.value))
@@ -328,10 +329,6 @@ class PoseControls:
             control.visible = is_on
         self._stage.set_dragging(self._drag if is_on else None)
 
-    def set_reach(self, seconds: float) -> None:
-        """Set the seconds in which poses fade in and out."""
-        self._reach = seconds
-
     def click(self, vertex: int) -> None:
         """Pin a vertex, or remove its pin or handle."""
         self._tool.toggle(vertex)
@@ -348,19 +345,21 @@ class PoseControls:
         self._tool.show()
 
     def _apply(self) -> None:
-        self._tool.apply(self._reach)
+        self._tool.apply(self._fade())
         self._show_handles()
 
-    def _drag(self, index: int, vertex: int, target: Float) -> None:
+    def _drag(self, index: int, vertex: int, target: Float) -> bool:
         if index != self._session.index:
-            return
+            return False
         self._playback.pause()
         elapsed = np.array([self._playback.scene.elapsed(self._playback.frame)])
         try:
             self._tool.drag(vertex, target, float(model_times(self._session.model.header, elapsed)[0]))
         except SettingsError as error:
             notify_all(self._server, "Pose: not done", str(error))
+            return False
         self._show_handles()
+        return True
 
     def _show_handles(self) -> None:
         pending = self._tool.pending
@@ -397,7 +396,7 @@ class Editor:
             self._undo = gui.add_button_group("Steps", ("Undo", "Redo"))
             self._steps = gui.add_html("")
             pen = gui.add_checkbox("Pen", False, hint="Draw a new curve (or drag with shift)")
-            self.posing = PoseControls(server, session, playback, stage)
+            self.posing = PoseControls(server, session, playback, stage, lambda: float(self._reach.value))
             self._seconds = gui.add_number("Draw for (s)", duration(model), min=MIN_DURATION, step=0.05)
             self._reach = gui.add_number(
                 "Drag over (s)",
@@ -415,11 +414,10 @@ class Editor:
             parts = gui.add_button_group("", ("Exaggerate", "Hold"))
         self._show_steps()  # a line that is added later would move the controls below it
         self._save_controls = SaveControls(server, folder, self._default_name, session.save)
-        self.posing.set_reach(reach_of(model))
         self._undo.on_click(lambda _: self._undo_step() if self._undo.value == "Undo" else session.redo())
         pen.on_update(lambda _: charts.set_pen(pen.value))
         self._seconds.on_update(lambda _: charts.set_duration(float(self._seconds.value)))
-        self._reach.on_update(lambda _: self._set_reach(float(self._reach.value)))
+        self._reach.on_update(lambda _: charts.set_reach(float(self._reach.value)))
         sections.on_click(lambda _: self._edit_section(sections.value))
         parts.on_click(lambda event: self._edit_part(parts.value, event.client))
         gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda _: self._undo_step())
@@ -439,10 +437,6 @@ class Editor:
         """Undo the pose that is not applied yet, or the last step."""
         if not self.posing.cancel():
             self._session.undo()
-
-    def _set_reach(self, seconds: float) -> None:
-        self.charts.set_reach(seconds)
-        self.posing.set_reach(seconds)
 
     def _show_steps(self) -> None:
         history = self._session.history

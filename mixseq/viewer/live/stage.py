@@ -78,7 +78,7 @@ class LiveStage:
         self._handles: tuple[int, Mapping[int, Colour]] = (0, {})  # index of a mesh, and colours by vertex
         self._handle_balls: list[Any] = []
         self._grabs: dict[int, tuple[int, Float]] = {}  # by page: dragged vertex, and its offset from the pointer
-        self._on_drag: Callable[[int, int, Float], None] | None = None
+        self._on_drag: Callable[[int, int, Float], bool] | None = None
         self._drags = [self._drag_callback(index, None) for index in range(len(colours.scene.items))]
         for index, item in enumerate(colours.scene.items):
             offset = self._arrangement.offsets[index]
@@ -279,8 +279,11 @@ class LiveStage:
                 ball.visible, ball.color = colour is not None, colour or PICK_COLOUR
             self._place_balls()
 
-    def set_dragging(self, callback: Callable[[int, int, Float], None] | None) -> None:
-        """Set the function called with a dragged mesh, a vertex and its target ``(3,)``; None to turn the camera."""
+    def set_dragging(self, callback: Callable[[int, int, Float], bool] | None) -> None:
+        """Set the function called with a dragged mesh, a vertex and its target ``(3,)``; None to turn the camera.
+
+        It returns False to refuse the drag, until the next one begins.
+        """
         self._on_drag, self._picked, self._pick_ball.visible = callback, None, False
         for mesh, drag in zip(self._meshes, self._drags, strict=True):
             mesh.remove_drag_callback(drag)
@@ -308,9 +311,9 @@ class LiveStage:
                 self._grabs[event.client_id] = vertex, points[vertex] - place + shift
             if event.client_id in self._grabs:
                 vertex, offset = self._grabs[event.client_id]
-                self._on_drag(index, vertex, arrangement.to_mesh(index, np.array(event.end_position) + offset))
-            if event.phase == "end":
-                self._grabs.pop(event.client_id, None)
+                target = arrangement.to_mesh(index, np.array(event.end_position) + offset)
+                if not self._on_drag(index, vertex, target) or event.phase == "end":
+                    del self._grabs[event.client_id]
 
         return drag
 
