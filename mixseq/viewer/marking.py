@@ -103,10 +103,10 @@ class Marking:
 
 @dataclass(frozen=True)
 class Trial:
-    """Verdict on a transfer with the set pairs, and where to look at."""
+    """Verdict on a transfer with the set pairs."""
 
     verdict: str  # one line
-    places: tuple[tuple[str, int, str], ...]  # letters, vertices of the target and their problems
+    findings: tuple[tuple[str, int | None, str], ...]  # letters and vertices of the target to look at, and problems
 
 
 def push_marking(history: UndoHistory[Marking], marking: Marking) -> UndoHistory[Marking]:
@@ -330,8 +330,8 @@ class MarkingSession(JobQueue[Callable[[], None]]):
             warnings.simplefilter("ignore", MixseqWarning)  # the verdict says what is wrong
             planned = plan_transfer(*self._meshes, TransferSettings(Marking(pairs).markers))
             verdict = judge_transfer(planned, measure_transfer(planned))
-        found = [each for each in verdict.findings if each.vertex is not None]
-        whens = ("at rest" if each.frame is None else planned.header.frame_name(each.frame) for each in found)
-        rows = zip(ascii_uppercase, found, whens, strict=False)
-        places = tuple((letter, int(each.vertex or 0), f"{when}: {each.message}") for letter, each, when in rows)
-        self._trial = pairs, Trial(verdict.text, places)
+        found = []
+        for letter, each in zip(ascii_uppercase, verdict.findings, strict=False):
+            when = "at rest" if each.frame is None else planned.header.frame_name(each.frame)
+            found.append((letter, each.vertex, each.message if each.vertex is None else f"{when}: {each.message}"))
+        self._trial = pairs, Trial(verdict.text, tuple(found))

@@ -141,13 +141,14 @@ def test_a_tried_transfer_has_a_verdict_and_places_until_pairs_change(listener: 
         session.try_transfer()
         found = eventually(lambda: session.trial)
         assert found.verdict.startswith("check: the target is 1.1e+02 times as large as the source")
-        letter, vertex, text = found.places[0]
-        assert letter == "A"
+        (_, nowhere, _), (letter, vertex, text), *_ = found.findings
+        assert nowhere is None  # the size of the whole
+        assert letter == "B"
         assert vertex in wrong.target
         assert text.startswith("at rest: ")
         assert "thigh.r" in text
         ball = list(make_balls(session.marking, (), frozenset(), TARGET, found))[len(MARKED)]
-        assert (ball.vertex, ball.text) == (vertex, "A")
+        assert (ball.vertex, ball.text) == (vertex, "B")
         session.click_ball(SOURCE, 0)
         session.delete()
         assert session.trial is None

@@ -89,7 +89,7 @@ class Room:
     def _failed(self, error: Exception) -> None:
         self.told.failures.append(("show", str(error)))
 
-    def _save(self, path: Path, model: Model, replace: bool) -> str:
+    def _save(self, path: Path, model: Any, replace: bool) -> str:
         if path.name == "bad.h5":
             raise OutputError("no room")
         if path.name == "worse.h5":

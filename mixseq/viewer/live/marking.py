@@ -123,8 +123,9 @@ def make_balls(
     for place, pair in enumerate(proposals):
         colour = PROPOSAL_COLOURS[pair.certainty]
         yield Ball(pair.vertices[side], "" if place else "?", colour, 0.8 if place else 1.2)
-    for letter, vertex, _ in () if trial is None or side == SOURCE else trial.places:
-        yield Ball(vertex, letter, PLACE_COLOUR, SELECTED_SCALE)
+    for letter, vertex, _ in () if trial is None or side == SOURCE else trial.findings:
+        if vertex is not None:
+            yield Ball(vertex, letter, PLACE_COLOUR, SELECTED_SCALE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,8 +305,8 @@ class MarkingControls:
             views = gui.add_button_group("See from", tuple(VIEWS))
             across = gui.add_button("Other mesh", hint="View the same point of the other mesh (key O)")
         with gui.add_folder("Map"):
-            self._map = gui.add_html("")
             trying = gui.add_button("Try transfer", hint="Transfer frames of the source, and show where to look")
+            self._map = gui.add_html("")
         with gui.add_folder("Save"):
             self._saved = gui.add_html("")
             button = gui.add_button("Save")
@@ -338,9 +339,9 @@ class MarkingControls:
         self._proposal_line.content = _lines(
             "mixseq-proposed", [_proposal_text(proposals, session.work, session.doubt)]
         )
-        self._map.content = _lines(
-            "mixseq-map", [*_trial_lines(session.trial), *_map_lines(marking, examination, session.work)]
-        )
+        trial, work = session.trial, session.work
+        lines = _trial_lines(trial) if trial is not None else _map_lines(marking, examination, work)
+        self._map.content = _lines("mixseq-map", lines)
         state = "unsaved changes" if session.has_changes else "no unsaved changes"
         self._saved.content = _lines("mixseq-saved", [escape(f"{self._file}: {state}")])
 
@@ -376,7 +377,7 @@ def _proposal_text(proposals: Sequence[Pair], work: str, doubt: str) -> str:
 def _map_lines(marking: Marking, examination: Examination | None, work: str) -> list[str]:
     count = len(marking.pairs)
     too_few = f"Shows how well pairs fit, from {MIN_EXAMINED_MARKERS} pairs on"
-    if examination is None:
+    if examination is None or "trying" in work:
         return [escape(f"{work} ...") if work else too_few]
     lines = []
     if examination.residuals is not None:
@@ -398,11 +399,10 @@ def _map_lines(marking: Marking, examination: Examination | None, work: str) -> 
     return [*verdict, *lines]
 
 
-def _trial_lines(trial: Trial | None) -> list[str]:
-    if trial is None:
-        return []
-    places = [f"{_dot(PLACE_COLOUR)}<b>{letter}</b> {escape(text)}" for letter, _, text in trial.places]
-    return [f"<b>{escape(trial.verdict)}</b>", *places]
+def _trial_lines(trial: Trial) -> list[str]:
+    dot = _dot(PLACE_COLOUR)
+    rows = ((letter, "" if vertex is None else dot, text) for letter, vertex, text in trial.findings)
+    return [f"{ball}<b>{letter}</b> {escape(text)}" for letter, ball, text in rows] or [escape(trial.verdict)]
 
 
 def _format_number(number: int) -> str:
