@@ -148,7 +148,7 @@ def ground_drift(
     knots = np.concatenate([breakpoints(position_a), breakpoints(position_b)])
     sites = subdivide(sites_between(start, end, knots), SITES_PER_KNOT)
     integrand = Curve(sites, weight_rate(sites) * (position_a(sites) - position_b(sites)))
-    integral = CubicHermiteSpline(integrand.times, integrand.values, integrand.slopes).antiderivative()
+    integral = CubicHermiteSpline(integrand.times, integrand.values, integrand.slopes[:]).antiderivative()
     return lambda times: np.asarray(integral(times) - integral(start))
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import tempfile
 import threading
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
@@ -28,7 +28,7 @@ from numpy.typing import DTypeLike, NDArray
 from mixseq.errors import OutputError
 from mixseq.types import Float
 
-MAX_BYTES_IN_MEMORY = 1 << 27
+MAX_BYTES_IN_MEMORY = 1 << 25
 """Arrays up to this size are in memory, larger ones on disk."""
 
 _MAX_TILE_COLUMNS = 1 << 14
@@ -60,10 +60,13 @@ class DiskArray:
     def __setitem__(self, rows: slice, values: NDArray[Any]) -> None:
         first, last, _ = rows.indices(len(self))
         flat = values.reshape(last - first, self._width)
+        for columns in _tiles(len(self), self._width):
+            self._write(first, columns, flat[:, columns])
+
+    def _write(self, first: int, columns: slice, values: NDArray[Any]) -> None:
         try:
-            for columns in _tiles(len(self), self._width):
-                self._seek(first, columns)
-                self._file.write(np.ascontiguousarray(flat[:, columns], dtype=self.dtype).data)
+            self._seek(first, columns)
+            self._file.write(np.ascontiguousarray(values, dtype=self.dtype).data)
             self._file.flush()
         except OSError as error:
             size = self.dtype.itemsize * len(self) * self._width
@@ -113,6 +116,17 @@ def new_large_array(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> La
     """Return an uninitialised array ``(T, ...)``, on disk if the array is large."""
     size = np.dtype(dtype).itemsize * int(np.prod(shape, dtype=np.int64))
     return np.empty(shape, dtype) if size <= MAX_BYTES_IN_MEMORY else DiskArray(shape, dtype)
+
+
+def from_columns(shape: tuple[int, int], columns_of: Callable[[slice], Float]) -> LargeArray:
+    """Return an array ``(T, W)``, on disk if it is large, from a function that returns columns ``(T, C)``."""
+    array = new_large_array(shape)
+    for columns in _tiles(*shape):
+        if isinstance(array, DiskArray):
+            array._write(0, columns, columns_of(columns))
+        else:
+            array[:, columns] = columns_of(columns)
+    return array
 
 
 def column_blocks(array: LargeArray) -> Iterator[tuple[slice, NDArray[Any]]]:

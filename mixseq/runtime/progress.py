@@ -31,10 +31,7 @@ class StagedProgress:
     frames: int  # steps of every stage, usually frames
 
     def at(self, first: int, stages: int = 1) -> Progress:
-        """Return the progress callback of stage `first`, or of several as one; memory of earlier stages is returned."""
-        from mixseq.runtime.low_memory import return_freed_memory  # import mixseq stays lean
-
-        return_freed_memory()
+        """Return the progress callback of stage `first`, or of several as one."""
 
         def report(done: int, total: int, what: str) -> None:
             self.progress(first * self.frames + stages * self.frames * done // total, self.count * self.frames, what)

@@ -243,33 +243,32 @@ class Elements:
     pairs: Int32  # (n, 2) pairs of neighbours
 
     @classmethod
-    def from_faces(cls, topology: Topology, x: Float) -> Elements:
-        """Make elements of the triangles of a mesh in frames ``(T, V, 3)``; neighbours share a hinge."""
-        count = len(topology.faces)
+    def from_faces(cls, topology: Topology, trajectories: Trajectories, areas: Float) -> Elements:
+        """Make elements of the triangles of a mesh, with areas ``(F,)``; neighbours share a hinge."""
         return cls(
-            trajectories=Trajectories(x),
+            trajectories=trajectories,
             corners=_padded(topology.faces, topology.vertex_count),
-            corner_factors=np.full(count, 1.0 / 3.0, dtype=np.float32),
-            weights=face_areas(x[0], topology) / 3.0,
+            corner_factors=np.full(len(topology.faces), 1.0 / 3.0, dtype=np.float32),
+            weights=areas / 3.0,
             pairs=topology.hinge_faces,
         )
 
     @classmethod
-    def from_cells(cls, topology: Topology, faces: Elements) -> tuple[Elements, Index]:
+    def from_cells(cls, topology: Topology, trajectories: Trajectories, areas: Float) -> tuple[Elements, Index]:
         """Make elements of cells of faces around centre vertices; also return the cell ``(F,)`` of every face."""
         graph = topology.vertex_adjacency
         owner = np.full(topology.vertex_count, -1, dtype=np.int32)
         owner[topology.unused_vertices] = topology.vertex_count  # in no cell
         centres = partition_cells(graph.indptr, graph.indices, owner)
         count = len(centres)
-        thirds = np.repeat(faces.weights, 3)
+        del graph  # large
         ends = owner[topology.edges]
         ends = ends[ends[:, 0] != ends[:, 1]]
         elements = cls(
-            trajectories=faces.trajectories.at(centres),
+            trajectories=trajectories.at(centres),
             corners=_padded(np.arange(count)[:, None], count),
             corner_factors=np.ones(count, dtype=np.float32),
-            weights=np.bincount(owner[topology.faces].reshape(-1), thirds, count).astype(np.float64),
+            weights=np.bincount(owner[topology.faces].reshape(-1), np.repeat(areas / 3.0, 3), count).astype(np.float64),
             pairs=number_pairs(ends.min(axis=1), ends.max(axis=1), count)[0],
         )
         return elements, owner[topology.faces[:, 0]].astype(np.int64)

@@ -359,24 +359,29 @@ def segment_by_motion(
     if len(x) == 1:  # nothing moves
         areas = face_areas(x[0], topology)
         return renumber_by_area(segment_still(x[0], topology, areas, parts or 1), areas)
-    faces = Elements.from_faces(topology, x)
+    areas, trajectories = face_areas(x[0], topology), Trajectories(x)
     clusters = max(settings.clusters, round(1.5 * (parts or 1)))
-    labels = _cluster(topology, faces, min(clusters, len(topology.faces)), settings)
+    labels = _cluster(topology, trajectories, areas, min(clusters, len(topology.faces)), settings)
+    faces = Elements.from_faces(topology, trajectories, areas)
     patches = _Patches.from_labels(topology, faces, split_labels(topology, labels))
     _merge_small_patches(patches, settings)
     _merge_stiff_pairs(patches, topology, parts, settings)
     return renumber_by_area(patches.labels, faces.weights)
 
 
-def _cluster(topology: Topology, faces: Elements, count: int, settings: MotionSettings) -> Index:
+def _cluster(
+    topology: Topology, trajectories: Trajectories, areas: Float, count: int, settings: MotionSettings
+) -> Index:
     """Cluster faces by Lloyd's iteration with an increasing number of clusters, on cells if the mesh is dense."""
-    rounds = settings.smoothing * len(faces) ** 0.5
-    if len(faces) <= MAX_FACES_WITHOUT_CELLS:
-        return _relax(_grow_clusters(faces, count, rounds), rounds, 4)
-    cells, cell_of_face = Elements.from_cells(topology, faces)
-    cell_rounds = rounds * len(cells) / len(faces)
+    rounds = settings.smoothing * len(areas) ** 0.5
+    if len(areas) <= MAX_FACES_WITHOUT_CELLS:
+        return _relax(_grow_clusters(Elements.from_faces(topology, trajectories, areas), count, rounds), rounds, 4)
+    cells, cell_of_face = Elements.from_cells(topology, trajectories, areas)
+    cell_rounds = rounds * len(cells) / len(areas)
     labels = _relax(_grow_clusters(cells, count, cell_rounds), cell_rounds, 4)[cell_of_face]
-    return labels if len(faces) > MAX_FACES_TO_REFINE else _relax(Clusters(faces, labels, count), rounds, 2)
+    if len(areas) > MAX_FACES_TO_REFINE:
+        return labels
+    return _relax(Clusters(Elements.from_faces(topology, trajectories, areas), labels, count), rounds, 2)
 
 
 def _grow_clusters(elements: Elements, count: int, rounds: float) -> Clusters:

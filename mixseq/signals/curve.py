@@ -25,6 +25,8 @@ from numpy.typing import ArrayLike
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import element_blocks
 from mixseq.mesh.polygons import read_only
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.low_memory import LargeArray, from_columns
 from mixseq.types import Float
 
 MIN_KNOT_SPACING = 1e-100
@@ -32,7 +34,7 @@ MIN_KNOT_SPACING = 1e-100
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class Curve(PickledWithoutCaches):
     """A cubic spline through values at knots.
 
     Attributes
@@ -92,13 +94,16 @@ class Curve:
         """Times ``(b,)`` at which the curve breaks."""
         return np.asarray(self.times[1:][np.diff(self.times) == 0])
 
-    @cached_property
+    @property
     def pieces(self) -> tuple[Curve, ...]:
         """The splines between the breaks."""
+        return self._split or (self,)
+
+    @cached_property
+    def _split(self) -> tuple[Curve, ...]:
+        """The pieces of a curve with breaks; none without, as a curve that holds itself is not freed at once."""
         starts = np.flatnonzero(np.diff(self.times) == 0) + 1
-        if not len(starts):
-            return (self,)
-        return tuple(map(Curve, np.split(self.times, starts), np.split(self.values, starts)))
+        return tuple(map(Curve, np.split(self.times, starts), np.split(self.values, starts))) if len(starts) else ()
 
     @classmethod
     def from_pieces(cls, pieces: Iterable[Curve]) -> Curve:
@@ -107,9 +112,12 @@ class Curve:
         return cls(np.concatenate(times), np.concatenate(values))
 
     @cached_property
-    def slopes(self) -> Float:
-        """Slopes ``(m, k)`` at the knots of a curve without breaks."""
-        h, values = np.diff(self.times)[:, None], self.values
+    def slopes(self) -> LargeArray:
+        """Slopes ``(m, k)`` at the knots of a curve without breaks, on disk if they are large."""
+        return from_columns(self.values.shape, lambda columns: self._solve_for_slopes(self.values[:, columns]))
+
+    def _solve_for_slopes(self, values: Float) -> Float:
+        h = np.diff(self.times)[:, None]
         if len(h) < 3:  # a line or a parabola
             secants = np.diff(values, axis=0) / h
             bend = np.diff(secants, axis=0).sum(axis=0) / h.sum()
@@ -118,7 +126,7 @@ class Curve:
         below, diagonal, above = np.zeros((3, len(self.times)))
         right = np.empty(values.shape)
         below[1:-1], diagonal[1:-1], above[1:-1] = h[1:, 0], 2 * (h[:-1, 0] + h[1:, 0]), h[:-1, 0]
-        for rows in element_blocks(len(h) - 1, self.dim):
+        for rows in element_blocks(len(h) - 1, values.shape[1]):
             secants = np.diff(values[rows.start : rows.stop + 2], axis=0) / h[rows.start : rows.stop + 1]
             right[1:-1][rows] = 3 * (h[1:][rows] * secants[:-1] + h[:-1][rows] * secants[1:])
         for end, beside, next_to in ((0, 1, above), (-1, -2, below)):
@@ -171,8 +179,9 @@ class Curve:
         knots = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
         h, offset = (each[:, None] for each in (self.times[knots + 1] - self.times[knots], times - self.times[knots]))
         secants = (self.values[knots + 1] - self.values[knots]) / h
-        start, end = self.slopes[knots] - secants, self.slopes[knots + 1] - secants
-        powers = self.values[knots], self.slopes[knots], -(2 * start + end) / h, (start + end) / h**2
+        slopes = self.slopes[knots]
+        start, end = slopes - secants, self.slopes[knots + 1] - secants
+        powers = self.values[knots], slopes, -(2 * start + end) / h, (start + end) / h**2
         result = np.zeros(secants.shape)
         for power in range(3, order - 1, -1):
             result = result * offset + math.perm(power, order) * powers[power]

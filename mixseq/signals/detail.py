@@ -295,14 +295,16 @@ def _fit_curves_within_slack(
     """Fit rounded time, placement and correction curves that deviate from the interpolated poses within the slack."""
     slack, step, space = detail.slack, detail.step, encoded.space
     times, weights, quarter_times, part_poses, placements = encoded.interpolated
+    # Scale the step by mode: faint modes also change lengths and angles, which have little weight in the metric.
+    scales = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), MIN_SCORE_SCALE)))
     values = np.empty((len(times), scores.shape[1]))
     for number, of_group in enumerate(weights):
         mask = encoded.modes.groups[: scores.shape[1]] == number
-        values[:, mask] = of_group.interpolate(scores[:, mask])
-    # Scale the step by mode: faint modes also change lengths and angles, which have little weight in the metric.
-    scales = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), MIN_SCORE_SCALE)))
+        own_scores = scores if mask.all() else scores[:, mask]
+        for rows in element_blocks(len(times), scores.shape[1]):  # curves of long sequences are larger than these
+            values[rows][:, mask] = of_group.select(rows).interpolate(own_scores)
     score_norm = rms_over_vertices(encoded.header.vertex_count)
-    time = _fit_rounded(times, values, slack, score_norm, step * scales)
+    time = _fit_rounded(times, values, slack, score_norm, step * scales, out=values)
     del values
     pose_weights = np.split(space.weights[space.shape_dim :], [space.placement_dim])
     placement_norm, correction_norm = map(max_norm, pose_weights)
@@ -313,14 +315,18 @@ def _fit_curves_within_slack(
     return time, placement, _fit_rounded(quarter_times, rotations_and_shifts, slack, correction_norm, step)
 
 
-def _fit_rounded(times: Float, values: Float, slack: float, norm: DeviationNorm, step: float | Float) -> Curve:
-    curve = fit_curve(times, values, slack, norm) if slack > 0 else Curve(times, values)
-    return Curve(curve.times, _round(curve.values, step)) if np.any(step) else curve
+def _fit_rounded(
+    times: Float, values: Float, slack: float, norm: DeviationNorm, step: float | Float, out: Float | None = None
+) -> Curve:
+    if slack > 0:
+        curve = fit_curve(times, values, slack, norm)
+        times, values, out = curve.times, curve.values, None
+    return Curve(times, _round(values, step, out) if np.any(step) else values)
 
 
-def _round(values: Float, step: float | Float) -> Float:
+def _round(values: Float, step: float | Float, out: Float | None = None) -> Float:
     """Round values to multiples of a step, or of one step per column."""
-    rounded = values / step
+    rounded = np.divide(values, step, out=out)
     np.round(rounded, out=rounded)
     rounded *= step
     return np.asarray(rounded)

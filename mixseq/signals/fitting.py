@@ -20,7 +20,7 @@ from mixseq.choices import BETWEENS, BetweenName, PlacementName, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import choose_origin, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
-from mixseq.runtime.low_memory import LargeArray
+from mixseq.runtime.low_memory import LargeArray, return_freed_memory
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
 from mixseq.runtime.public import FileOr, HasFrames, public
@@ -299,8 +299,10 @@ def fit(
         stage = stages.at(1 + SPACE_STAGES)
         encoded = encode_sequence(frames, shape_space, executor, stage, timings, group_of_vertex)
         encoded = select_share(encoded, frames.points)
+        return_freed_memory()
         if exact:
             max_error, model = EXACT_TOLERANCE, build_model(encoded, Detail(step=EXACT_ROUNDING_STEP))
+            del encoded  # as large as the model
             verify_tolerance(model, frames, max_error, executor, stages.at(FIT_STAGES))
         elif is_reduced:
             model = build_model(encoded, Detail(rank=rank, knots=knots))

@@ -13,7 +13,7 @@ from mixseq.choices import SPACES, PlacementName, ProjectionName, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import edge_lengths
 from mixseq.mesh.topology import Topology
-from mixseq.runtime.low_memory import LargeArray
+from mixseq.runtime.low_memory import LargeArray, return_freed_memory
 from mixseq.runtime.parallel import Executor, serial_executor
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
 from mixseq.segmentation.joints import (
@@ -167,8 +167,10 @@ def _make_mixed_space(
     stages.at(0)(0, 1, "finding parts")
     topology = Topology(header.faces, header.vertex_count)
     labels = segment_faces(frames, settings, topology)
+    return_freed_memory()
     motion = _measure_motion(topology, labels, points, workers, stages.at(1))
     decomposition = decompose(topology, labels, settings.joint_width, motion)
+    return_freed_memory()
     space = mixed_space(points, topology, decomposition, settings.placement, settings.purpose, stages.at(2))
     if space.joint_faces.any():
         return space

@@ -30,8 +30,8 @@ def candidate_of(components: PrincipalComponents, graph: SignalGraph) -> Candida
 
 def write_basis(components: PrincipalComponents, step: float, graph: SignalGraph) -> tuple[Float, tuple[bytes, ...]]:
     candidate = candidate_of(components, graph)
-    rounded = round_basis(candidate.parts, step)
-    return rounded[0].vectors, code_basis([rounded[0].signals], rounded[0].vectors.shape[1], candidate.labels, graph)
+    [(vectors, signals)] = round_basis(candidate.parts, step)
+    return vectors, code_basis([signals], vectors.shape[1], candidate.labels, graph)
 
 
 def read_basis(streams: Sequence[bytes], rank: int, coordinates: int, step: float, graph: SignalGraph) -> Float:

@@ -12,15 +12,20 @@ from hypothesis import strategies as st
 from mixseq.mesh.topology import Topology, face_patches
 from mixseq.segmentation import motion
 from mixseq.segmentation import motion as clusters
-from mixseq.segmentation.elements import Elements
+from mixseq.segmentation.elements import Elements, Trajectories, face_areas
 from mixseq.segmentation.motion import Clusters, Moments, moments, moments_of, motions_of, tally
 from mixseq.types import Float, Index, Mask
 from tests.meshes import SEQUENCES, bending, pages, seeds, topology_of, torus, tube
 
+
+def faces_of(topology: Topology, frames: Float) -> Elements:
+    return Elements.from_faces(topology, Trajectories(frames), face_areas(frames[0], topology))
+
+
 MESH = torus(12, 7)
 TOPOLOGY = topology_of(MESH)
 FRAMES = bending(MESH, frames=4) + 0.02 * np.random.default_rng(2).normal(size=(4, *MESH[0].shape))
-FACES = Elements.from_faces(TOPOLOGY, FRAMES)
+FACES = faces_of(TOPOLOGY, FRAMES)
 
 
 def gathered(inside: Mask) -> Moments:
@@ -99,7 +104,7 @@ def test_a_cluster_that_is_left_by_all_stays_empty() -> None:
 
 
 def test_balls_grow_ring_by_ring() -> None:
-    faces = Elements.from_faces(topology_of(tube(6, 9, closed=False)), tube(6, 9, closed=False)[0][None])
+    faces = faces_of(topology_of(tube(6, 9, closed=False)), tube(6, 9, closed=False)[0][None])
     assert faces.ball(20, 1).tolist() == sorted(set(faces.neighbourhoods[20].tolist()) - {len(faces)})
     assert len(faces.ball(20, 10**6)) == len(faces)
 
@@ -107,11 +112,11 @@ def test_balls_grow_ring_by_ring() -> None:
 def test_cells_cover_the_mesh() -> None:
     for mesh in (tube(8, 30), pages(3, 8, 3)):
         topology = topology_of(mesh)
-        faces = Elements.from_faces(topology, mesh[0][None])
-        cells, cell_of_face = Elements.from_cells(topology, faces)
+        areas = face_areas(mesh[0], topology)
+        cells, cell_of_face = Elements.from_cells(topology, Trajectories(mesh[0][None]), areas)
         assert len(cells) < len(mesh[0]) / 2
         assert set(cell_of_face.tolist()) <= set(range(len(cells)))
-        assert cells.weights.sum() == pytest.approx(3 * faces.weights.sum())
+        assert cells.weights.sum() == pytest.approx(areas.sum())
         # Centres are not beside each other, and every vertex is one or beside one.
         centres = [int(np.flatnonzero((mesh[0] == p).all(axis=1))[0]) for p in cells.trajectories.rows[:, -4:-1]]
         graph = topology.vertex_adjacency

@@ -200,6 +200,8 @@ class CodedResidualLayer(PickledWithoutCaches):
                 # Threads read frames in order, so a cache of the last few runs suffices.
                 if len(self._cache) > _MAX_CACHED_RUNS:
                     self._cache.pop(next(iter(self._cache)))
+                if len(self._cache) == sum(-(-frames // FRAMES_PER_RUN) for frames, _ in self.chunks):
+                    self.__dict__.pop("_graph", None)  # all is decoded, and the graph is large
             return self._cache[chunk, run][place]
 
     @cached_property

@@ -223,7 +223,12 @@ class SignalGraph:
 
 def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
     """Return the graph of the vertices and edges of a mesh with faces ``(F, 3)``."""
-    ring_starts, ring = mesh_neighbours(faces, vertex_count)
+    return ring_graph(*mesh_neighbours(faces, vertex_count))
+
+
+def ring_graph(ring_starts: Index, ring: Int32) -> SignalGraph:
+    """Return the graph of an adjacency in the format of `update_adjacency`."""
+    vertex_count = len(ring_starts) - 1
     neighbours, counts = new_neighbours(vertex_count)
     levels = [level.removed for level in coarser_levels(ring_starts, ring, neighbours, counts)]
     root_mask = np.ones(vertex_count, dtype=bool)
@@ -352,7 +357,7 @@ def _order_graph(levels: list[Index], neighbours: Int32, counts: Int32, ring: In
     inverse = np.argsort(order)
     # Read-only like the arrays of stencils, so that numba compiles only once.
     starts, ring = renumber_adjacency(read_only(ring_starts), read_only(ring), order, read_only(inverse))
-    counts = counts[order]
-    neighbours = inverse.astype(np.int32)[neighbours[order]]
+    # In place, as neighbours are the largest array.
+    np.take(inverse.astype(np.int32), neighbours, out=neighbours, mode="clip")
     neighbours[np.arange(neighbours.shape[1]) >= counts[:, None]] = 0
-    return SignalGraph(order, neighbours, counts, ring, starts)
+    return SignalGraph(order, neighbours[order], counts[order], ring, starts)

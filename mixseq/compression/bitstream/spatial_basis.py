@@ -47,7 +47,14 @@ from mixseq.compression.bitstream.arithmetic import (
     store_state,
 )
 from mixseq.compression.bitstream.signal_coder import Reader, SignalCoder, Writer, new_number_models
-from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph, path_graph
+from mixseq.compression.bitstream.signal_graph import (
+    NEIGHBOUR_COUNTS,
+    SignalGraph,
+    edge_neighbours,
+    mesh_graph,
+    path_graph,
+    ring_graph,
+)
 from mixseq.errors import FormatError
 from mixseq.mesh.topology_kernels import number_pairs, pair_sides
 from mixseq.runtime.jit import compiled
@@ -126,7 +133,8 @@ def _face_graph(faces: NDArray[np.integer]) -> SignalGraph:
     edges, edge_ids = number_pairs(low, high, int(high.max(initial=-1)) + 1)
     sides = pair_sides(edge_ids, len(edges))
     pairs = sides[np.bincount(edge_ids)[edge_ids[sides[:, 0]]] == 2] // 3
-    return mesh_graph(pairs[:, [0, 1, 1]], len(faces))
+    del starts, ends, low, high, edges, edge_ids, sides  # as large as the graph
+    return ring_graph(*edge_neighbours(pairs, len(faces)))
 
 
 def _new_label_models() -> BitModels:
@@ -317,23 +325,29 @@ def read_basis(
             del coder
         reader.finish()
     shapes = [(-1, coordinates, len(of_part)) for of_part in vertices]
-    return [step * np.array(values).reshape(shape) for values, shape in zip(signals, shapes, strict=True)], vertices
+    decoded = []
+    for shape in shapes:
+        decoded.append(np.array(signals.pop(0)).reshape(shape))
+        decoded[-1] *= step
+    return decoded, vertices
 
 
-def assemble_basis(
-    kind: BasisKind, vectors: Sequence[Float], vertices: Sequence[Index], frame_count: int
-) -> SpatialBasis:
-    """Make a basis from the decoded vectors ``(K, c, n)`` of all parts, without zero vectors, ordered by groups."""
+def assemble_basis(kind: BasisKind, vectors: list[Float], vertices: Sequence[Index], frame_count: int) -> SpatialBasis:
+    """Make a basis from the decoded vectors ``(K, c, n)`` of all parts, without zero vectors, ordered by groups.
+
+    The list is emptied, as vectors are large.
+    """
+    groups = part_groups(list(map(len, vectors)))
     nonzero_masks = [np.any(of_part, axis=(1, 2)) for of_part in vectors]
     if kind == "shapes":
         nonzero_masks[0][:1] = True  # keep the mean, even if it is zero
     part_bases, part_ids = [], [np.arange(len(vertices) if kind == "trajectories" else 0)]
-    for ids, values, nonzero_mask in zip(vertices, vectors, nonzero_masks, strict=True):
-        values = values[nonzero_mask]
+    for ids, nonzero_mask in zip(vertices, nonzero_masks, strict=True):
+        values = vectors.pop(0)[nonzero_mask]
         if kind == "trajectories":
             values = np.concatenate([np.full((1, 1, len(ids)), 1 / np.sqrt(len(ids))), values])
         part_bases.append(PartBasis(ids, values))
-    for group in part_groups(list(map(len, vectors))):
+    for group in groups:
         part_ids += [np.full(np.count_nonzero(nonzero_masks[part][span]), part) for part, span in group]
     return SpatialBasis(kind, tuple(part_bases), np.concatenate(part_ids), frame_count)
 

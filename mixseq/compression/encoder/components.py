@@ -216,6 +216,11 @@ class PartComponents:
             self._batch = list(vectors[:, None])
         return np.asarray(self._batch[number - self._first])
 
+    def free_vectors(self) -> None:
+        """Free the vectors of a part of the mesh, which are computed again when needed."""
+        if len(self.part.vertices) < self._components.vectors.shape[2]:
+            self._first, self._batch = 0, []
+
     def rank(self, step: float) -> int:
         """Return the number of vectors, at least one, before the vanishing vectors at which coding stops."""
         vanishing = number = 0

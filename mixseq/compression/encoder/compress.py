@@ -20,7 +20,6 @@ from mixseq.compression.bitstream.compressed_sequence import (
     Playback,
     decode,
 )
-from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, FaceLabels, encode_face_labels
 from mixseq.compression.encoder.inbetweens import add_inbetweens
 from mixseq.compression.encoder.search import MAX_ROUNDS, Search
@@ -30,6 +29,7 @@ from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import MixseqWarning, ReconstructionError, SettingsError
 from mixseq.mesh.measures import choose_origin
 from mixseq.mesh.topology import Topology
+from mixseq.runtime.low_memory import return_freed_memory
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
 from mixseq.runtime.public import FileOr, public
@@ -169,12 +169,14 @@ def compress(
         if size is not None and labels is not None:
             size -= len(labels.data)
         coded = replace(_search_streams(frames, stages, chunk, unit, max_error, kg, size), labels=labels)
+        return_freed_memory()
         stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
         events = find_events(frames.points, header.times, Topology(header.faces, header.vertex_count))
         whole = events.with_cuts(cuts, header).whole
         playback = decode(coded, tuple(k + 1 for k in sorted({*whole.cuts, *whole.pops})))
         parameters = _measure_errors(frames, playback, coded.parameters, max_error, kg)
         coded = replace(coded, parameters=parameters, between=playback.between, order=order)
+        return_freed_memory()
         if inbetweens:
             coded = add_inbetweens(coded, playback, size, between_frames, stages.at(2 + MAX_ROUNDS))
     parameters = coded.parameters
@@ -258,7 +260,7 @@ def _search_streams(
     """Return the streams found by a search; other results, a few kB per vertex, are freed on return."""
     origin = choose_origin(frames.points[:1][0])
     local = frames.about(origin)
-    search = Search(local, mesh_graph(frames.header.faces, frames.header.vertex_count), stages, chunk)
+    search = Search(local, stages, chunk)
     if max_error is not None:
         best = search.find_for_bound(_with_margin(max_error * unit, frames, local))
     elif kg is not None:
@@ -278,7 +280,7 @@ def _search_streams(
         ranks=best.ranks if len(best.ranks) > 1 else (),
         origin=tuple(origin.tolist()) if origin.any() else (),
     )
-    return CompressedSequence(frames.header, parameters, best.streams()[0], best.chunks)
+    return CompressedSequence(frames.header, parameters, best.groups, best.chunks)
 
 
 MIN_MOTION_LEFT = 0.5

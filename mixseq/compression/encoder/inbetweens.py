@@ -34,6 +34,7 @@ from mixseq.compression.encoder.trial import code_coefficients, round_coefficien
 from mixseq.errors import MixseqError, MixseqWarning, SettingsError
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.progress import Progress
+from mixseq.sequence.sequence import block_size
 from mixseq.signals.decoding import largest_distance, quarter_times
 from mixseq.signals.model import Model
 from mixseq.spaces.temporal import insert_midpoints
@@ -180,7 +181,7 @@ def _decode(model: Model, times: Float) -> LargeArray:
     """Return the points ``(N, V, 3)`` of a model at times ``(N,)``."""
     points = new_large_array((len(times), model.header.vertex_count, 3))
     start = 0
-    for block in model.blocks(times):
+    for block in model.blocks(times, block_size(model.header.vertex_count)):
         points[start : start + len(block)] = block
         start += len(block)
     return points

@@ -33,6 +33,7 @@ from scipy import linalg, sparse
 from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, label_vertices
 from mixseq.compression.encoder.components import PrincipalComponents
 from mixseq.errors import SegmentationError
+from mixseq.mesh.measures import element_blocks
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import two_thread_executor
 from mixseq.segmentation.methods import segment
@@ -152,11 +153,14 @@ def refine_parts(components: PrincipalComponents, labels: Index, faces: NDArray[
     motion = components.vectors[: min(max(rank, 1), MAX_COMPONENTS), 0]
     neighbour_mean = _neighbour_mean_matrix(faces, vertex_count)
     squares = np.einsum("rv,rv->v", motion, motion)
+    lengths = np.empty((vertex_count, part_count))
     for _ in range(MAX_ROUNDS):
         work = two_thread_executor()(_code_lengths, (motion, squares, labels, step), range(part_count))
-        lengths = np.stack(list(work), axis=1)
-        lengths = (lengths + neighbour_mean @ lengths) / 2
-        refined = lengths.argmin(axis=1)
+        for part, of_part in enumerate(work):
+            lengths[:, part] = of_part
+        refined = np.empty_like(labels)
+        for rows in element_blocks(vertex_count, part_count):
+            refined[rows] = ((lengths[rows] + neighbour_mean[rows] @ lengths) / 2).argmin(axis=1)
         sizes = np.bincount(refined, minlength=part_count)
         if sizes.min() < MIN_PART_VERTICES or np.array_equal(refined, labels):
             break
@@ -175,16 +179,22 @@ def _code_lengths(shared: tuple[Float, Float, Index, float], part: int) -> Float
     covariance = own @ own.T / own.shape[1] - np.outer(mean, mean)
     values, directions = linalg.eigh(covariance, subset_by_value=(unit, np.inf), check_finite=False)
     # Directions of smaller variance are assumed to have rounding errors only.
-    scores = directions.T @ motion - (directions.T @ mean)[:, None]
-    squares = squares - 2 * (mean @ motion) + mean @ mean
-    explained = (1 - unit / (values + unit)) @ np.square(scores, out=scores)
-    return np.asarray(((squares - explained) / unit + np.log1p(values / unit).sum()) / 2)
+    lengths, constant = np.empty(len(squares)), np.log1p(values / unit).sum()
+    for block in element_blocks(len(squares), len(motion)):
+        scores = directions.T @ motion[:, block] - (directions.T @ mean)[:, None]
+        distances = squares[block] - 2 * (mean @ motion[:, block]) + mean @ mean
+        explained = (1 - unit / (values + unit)) @ np.square(scores, out=scores)
+        lengths[block] = ((distances - explained) / unit + constant) / 2
+    return lengths
 
 
 def _neighbour_mean_matrix(faces: NDArray[np.integer], vertex_count: int) -> sparse.csr_array:
     """Return the matrix ``(V, V)`` that averages values over adjacent vertices."""
     next_corners = np.roll(faces, 1, axis=1)
     rows, columns = np.append(faces, next_corners), np.append(next_corners, faces)
-    adjacency = sparse.coo_array((np.ones(len(rows)), (rows, columns)), (vertex_count, vertex_count)).tocsr()
-    degrees = np.maximum(adjacency.sum(axis=1), 1.0)
-    return sparse.csr_array(sparse.diags_array(1 / degrees) @ adjacency)
+    ones = np.ones(len(rows), dtype=np.int32)
+    adjacency = sparse.coo_array((ones, (rows, columns)), (vertex_count, vertex_count)).tocsr()
+    del rows, columns, ones, next_corners
+    weights = np.repeat(1 / np.maximum(adjacency.sum(axis=1), 1), np.diff(adjacency.indptr))
+    weights *= adjacency.data
+    return sparse.csr_array((weights, adjacency.indices, adjacency.indptr), adjacency.shape)

@@ -39,6 +39,7 @@ from mixseq.compression.encoder.components import (
 from mixseq.compression.encoder.parts import initial_parts, refine_parts
 from mixseq.compression.encoder.trial import Candidate, Trial, add_residuals, squared_error, try_step
 from mixseq.errors import SizeError
+from mixseq.runtime.low_memory import return_freed_memory
 from mixseq.runtime.progress import StagedProgress
 from mixseq.sequence.sequence import FrameStore, largest_coordinate, rounding_error
 from mixseq.types import Index
@@ -88,22 +89,20 @@ class Candidates:
 
     def __init__(
         self,
-        sequence: FrameStore,
+        faces: NDArray[np.integer],
         graph: SignalGraph,
+        labels: dict[int, Index],
         components: PrincipalComponents,
         min_norm: float,
         error: float,
     ) -> None:
-        faces = sequence.header.faces
         self._components, self._min_norm, self._error = components, min_norm, error
         self.whole_mesh = self.coarse_mesh = TrialMesh(np.arange(graph.size), faces, graph, 1.0)
         if graph.size > LARGE_MESH_RATIO * COARSE_VERTICES:
             vertices, edges = coarsen_mesh(faces, graph.size, COARSE_VERTICES)
             share = len(vertices) / graph.size
             self.coarse_mesh = TrialMesh(vertices, edges, mesh_graph(edges, len(vertices)), share)
-        self._labels = {1: np.zeros(graph.size, dtype=np.int64)}
-        if "trajectories" in BASIS_KINDS:
-            self._labels |= initial_parts(sequence, PART_COUNTS)
+        self._labels = {1: np.zeros(graph.size, dtype=np.int64)} | labels
         self.part_counts = list(self._labels)  # increasing
         self._one_part = self._candidate(components, self._labels[1], self.whole_mesh)
         self._step = step_for_error(self._one_part, error)
@@ -116,7 +115,10 @@ class Candidates:
         """Return whether shapes may take fewer bytes than trajectories, judged by the norms of the components."""
         shapes = self._candidate(self._shapes, self._labels[1], self.whole_mesh)
         bits = _unpredicted_bits(shapes, step_for_error(shapes, self._error))
-        return bits < MAX_SHAPES_BIT_RATIO * _unpredicted_bits(self._one_part, self._step)
+        if bits < MAX_SHAPES_BIT_RATIO * _unpredicted_bits(self._one_part, self._step):
+            return True
+        del self._shapes  # three times as large as trajectories
+        return False
 
     def on_mesh(self, mesh: TrialMesh, layout: Layout) -> Candidate:
         """Return the candidate with a kind of basis and number of parts, on the coarse or the whole mesh."""
@@ -219,9 +221,10 @@ MIN_RELATIVE_ERROR = 1e-9
 class Search:
     """Search for the trial that meets a target with the fewest bytes."""
 
-    def __init__(self, sequence: FrameStore, graph: SignalGraph, stages: StagedProgress, chunk: int) -> None:
-        self._sequence = sequence
-        self._graph = graph
+    def __init__(self, sequence: FrameStore, stages: StagedProgress, chunk: int) -> None:
+        self._sequence, faces = sequence, sequence.header.faces
+        self._labels = initial_parts(sequence, PART_COUNTS) if "trajectories" in BASIS_KINDS else {}
+        self._graph = mesh_graph(faces, sequence.header.vertex_count)  # after parts, as both take much memory
         self._stages = stages
         self._chunk = chunk
         self._point_count = len(sequence.points) * sequence.points.shape[1]
@@ -233,6 +236,7 @@ class Search:
     def _try_step(self, candidate: Candidate, step: float) -> Trial:
         self._stages.at(1 + min(self._rounds, MAX_ROUNDS - 1))(0, 1, f"choosing the step{self._tried}")
         self._rounds += 1
+        return_freed_memory()
         trial = try_step(self._sequence, candidate, max(step, self._min_step), self._chunk)
         self._tried = f", after {trial.size / 1000:,.3g} kB"
         return trial
@@ -241,7 +245,8 @@ class Search:
         """Try candidates, each with the step for an expected error; return one or two whole-mesh trials, best first."""
         min_norm = 0.1 * error / float(np.sqrt(3 * len(self._sequence.points)))
         components = trajectory_components(self._sequence, min_norm)
-        candidates = Candidates(self._sequence, self._graph, components, min_norm, error)
+        faces = self._sequence.header.faces
+        candidates = Candidates(faces, self._graph, self._labels, components, min_norm, error)
         tried: list[tuple[float, Layout, Trial]] = []
 
         @cache
@@ -318,6 +323,7 @@ class Search:
         first = self._compare_candidates(INITIAL_RMS_ERROR * bound * self._point_count**0.5)[0]
         best = add_residuals(self._sequence, first, bound)
         exponent = SIZE_EXPONENT * _error_exponent(first)
+        del first  # its basis is as large as the sequence
         for factor in (STEP_FACTOR, 1 / STEP_FACTOR):
             start = best
             # The next step is skipped if its signals alone are expected to exceed the best size.

@@ -4,17 +4,15 @@ The spatial basis is rounded first. The coefficients are then fitted to the sequ
 compensates some of the rounding error, and rounded as well. If there is a bound, residuals correct the vertices whose
 decoded errors exceed it.
 
-Parts are independent. Only two are rounded at a time, to limit memory. Rounding alone determines the error of a trial.
-The bytes take as much time as the rounding, so `code_basis` and `code_coefficients` compute them on demand.
+Parts are independent. Two are rounded at a time, and coded meanwhile: rounded signals take more memory than the basis.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
 from itertools import chain, pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +22,7 @@ from mixseq.compression.bitstream.residual_layer import write_residuals
 from mixseq.compression.bitstream.signal_coder import Signal, SignalCoder, Writer, new_number_models
 from mixseq.compression.bitstream.signal_graph import SignalGraph, path_graph
 from mixseq.compression.bitstream.spatial_basis import (
+    FIRST_GROUP_SIZE,
     MAX_NORM,
     Part,
     SpatialBasis,
@@ -49,15 +48,17 @@ class RoundedPart(NamedTuple):
     signals: list[Signal]
 
 
-def round_basis(parts: Sequence[PartComponents], step: float) -> list[RoundedPart]:
+def round_basis(parts: Sequence[PartComponents], step: float) -> Iterator[RoundedPart]:
     """Round the components of every part until they vanish; the constant vector of trajectories is not included."""
-    return list(two_thread_executor()(_round_part, step, parts))
+    return two_thread_executor()(_round_part, step, parts)
 
 
 def _round_part(step: float, part: PartComponents) -> RoundedPart:
     shape = part.rank(step), part.coordinates
     values, signals = _round_vectors(part.part.graph, shape, lambda k: part.vector(k) / step)
-    return RoundedPart(step * values, signals)
+    part.free_vectors()
+    values *= step
+    return RoundedPart(values, signals)
 
 
 def _round_vectors(
@@ -74,17 +75,29 @@ def _round_vectors(
 
 
 def code_basis(
-    signals: Sequence[list[Signal]], coordinates: int, labels: Index, graph: SignalGraph
+    signals: Iterable[list[Signal]], coordinates: int, labels: Index, graph: SignalGraph
 ) -> tuple[bytes, ...]:
-    """Code the signals of every part, and the labels ``(V,)`` of vertices; return all groups for `read_basis`."""
-    models, streams = new_number_models(), []
-    for number, group in enumerate(part_groups([len(of_part) // coordinates for of_part in signals])):
+    """Code the signals of every part, and the labels ``(V,)`` of vertices; return all groups for `read_basis`.
+
+    The signals of the first group, often all, are coded as they come. Lists of signals are emptied.
+    """
+    models, writer, later = new_number_models(), Writer(), list[list[Signal]]()
+    if labels.any():
+        write_labels(writer, labels, graph)
+
+    def write_first(signals: list[Signal], count: int) -> None:
+        for signal in signals[:count]:
+            writer.write(signal, models)
+        del signals[:count]
+
+    for of_part in signals:
+        write_first(of_part, coordinates * FIRST_GROUP_SIZE)
+        later.append(of_part)
+    streams = [writer.finish()]
+    for group in part_groups([FIRST_GROUP_SIZE + len(of_part) // coordinates for of_part in later])[1:]:
         writer = Writer()
-        if number == 0 and len(signals) > 1:
-            write_labels(writer, labels, graph)
         for part, vectors in group:
-            for signal in signals[part][coordinates * vectors.start : coordinates * vectors.stop]:
-                writer.write(signal, models)
+            write_first(later[part], coordinates * (vectors.stop - vectors.start))
         streams.append(writer.finish())
     return tuple(streams)
 
@@ -139,9 +152,6 @@ def code_coefficients(signals: Sequence[Signal]) -> bytes:
 LATE_VERTEX_SIZE = 0.35
 """Bytes per vertex outside the coarse mesh, relative to the coarse mesh: finer levels are predicted better."""
 
-MAX_PENDING_NUMBERS = 1 << 22
-"""Number of rounded numbers above which signals are coded at once: uncoded numbers take up to 20 bytes each."""
-
 MIN_ALGEBRAIC_ERROR = 1e-10
 """Ratio of squared error to squared motion below which errors are measured on frames: computed errors lose digits."""
 
@@ -172,28 +182,6 @@ class Candidate:
         return cls(components, tuple(of_parts), graph, labels, share)
 
 
-Streams = tuple[tuple[bytes, ...], list[bytes]]
-"""The groups of a basis, and the coefficients in every chunk."""
-
-
-def streams_on_demand(
-    candidate: Candidate, basis: list[list[Signal]], chunks: list[list[Signal]]
-) -> Callable[[], Streams]:
-    """Return a function that codes rounded signals in parallel, at its first call."""
-    work: list[Callable[[], Any]] = [
-        partial(code_basis, basis, candidate.parts[0].coordinates, candidate.labels, candidate.graph),
-        *(partial(code_coefficients, signals) for signals in chunks),
-    ]
-
-    @cache
-    def streams() -> Streams:
-        groups, *coefficients = thread_executor()(lambda _, code: code(), None, work)
-        work.clear()  # signals take the most memory of a trial
-        return groups, coefficients
-
-    return streams
-
-
 @dataclass(frozen=True, eq=False)
 class Trial:
     """A sequence quantised with a step. Sizes are in bytes; on a coarse mesh they estimate those of the whole mesh."""
@@ -205,7 +193,8 @@ class Trial:
     basis: SpatialBasis  # decoded basis
     coefficients: Float  # (T, K, d) decoded coefficients
     spans: tuple[range, ...]  # frames of every chunk
-    streams: Callable[[], Streams]  # streams of basis and coefficients
+    groups: tuple[bytes, ...]  # streams of the basis
+    coefficient_streams: tuple[bytes, ...]  # streams of the coefficients of every chunk
     error: float  # root of the sum of all squared distances, without the residual layer
     residuals: tuple[bytes, ...] = ()  # residual layer of every chunk, if there is a bound
     bound: float | None = None  # bound of the residual layer
@@ -214,19 +203,19 @@ class Trial:
     def chunks(self) -> tuple[Chunk, ...]:
         """Chunks with their frames and streams."""
         residuals = self.residuals or (b"",) * len(self.spans)
-        streams = zip(self.spans, self.streams()[1], residuals, strict=True)
+        streams = zip(self.spans, self.coefficient_streams, residuals, strict=True)
         return tuple(Chunk(frames.start, len(frames), *of_frames) for frames, *of_frames in streams)
 
     @property
     def basis_size(self) -> int:
         """Size of the basis."""
         late = LATE_VERTEX_SIZE * (1 / self.candidate.share - 1)
-        return round((1 + late) * sum(map(len, self.streams()[0])))
+        return round((1 + late) * sum(map(len, self.groups)))
 
     @property
     def signal_size(self) -> int:
         """Size of the basis and the coefficients."""
-        return self.basis_size + sum(map(len, self.streams()[1]))
+        return self.basis_size + sum(map(len, self.coefficient_streams))
 
     @property
     def size(self) -> int:
@@ -236,13 +225,18 @@ class Trial:
 
 def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int = DEFAULT_CHUNK_FRAMES) -> Trial:
     """Round a sequence with one step."""
-    rounded = round_basis(candidate.parts, step)
-    vectors, basis_signals = [part.vectors for part in rounded], [part.signals for part in rounded]
-    del rounded
-    number_count, ranks = sum(part.size for part in vectors), tuple(map(len, vectors))
+    vectors = list[Float]()
+
+    def signals_of_parts() -> Iterator[list[Signal]]:
+        for of_part, signals in round_basis(candidate.parts, step):
+            vectors.append(of_part)
+            yield signals
+            del signals
+
+    groups = code_basis(signals_of_parts(), candidate.parts[0].coordinates, candidate.labels, candidate.graph)
+    ranks = tuple(map(len, vectors))
     vertices = [components.part.vertices for components in candidate.parts]
     basis = assemble_basis(candidate.components.kind, vectors, vertices, len(sequence.points))
-    del vectors  # as large as the basis
     if not basis.norms.max(initial=0.0) < MAX_NORM:
         raise InvalidSequenceError(
             f"{sequence.header.name!r}: the mesh is {sequence.diagonal:.3g} units across, and players of compressed "
@@ -263,10 +257,8 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
     if squares <= MIN_ALGEBRAIC_ERROR * motion and candidate.share == 1:
         squares = squared_error(sequence, basis, decoded)
     error = float(np.sqrt(max(squares, 0.0)))
-    streams = streams_on_demand(candidate, basis_signals, signals)
-    if number_count + decoded.size > MAX_PENDING_NUMBERS:
-        streams()
-    return Trial(candidate, step, ranks, basis, decoded, spans, streams, error)
+    coded = tuple(thread_executor()(lambda _, of_chunk: code_coefficients(of_chunk), None, signals))
+    return Trial(candidate, step, ranks, basis, decoded, spans, groups, coded, error)
 
 
 def order_coefficients(basis: SpatialBasis, coefficients: Sequence[Float]) -> Float:

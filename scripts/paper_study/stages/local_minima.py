@@ -108,7 +108,8 @@ def relaxed(poses: Poses, labels: Index) -> Search:
 def spread(energies: list[float]) -> str:
     """Say which energies were found."""
     low, high = min(energies), max(energies)
-    return f"{low:.3g}" if high <= (1 + SAME) * low else f"{low:.3g} to {high:.3g}"
+    least, most = (f"{energy:.3g}" if energy < 1000 else f"{energy:.0f}" for energy in (low, high))
+    return least if high <= (1 + SAME) * low else f"{least} to {most}"
 
 
 def page(results: Results) -> list[str]:

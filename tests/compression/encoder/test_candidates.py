@@ -8,7 +8,8 @@ import pytest
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.encoder import search
 from mixseq.compression.encoder.components import trajectory_components
-from mixseq.compression.encoder.search import BASIS_KINDS, Candidates, coarsen_mesh, step_for_error
+from mixseq.compression.encoder.parts import initial_parts
+from mixseq.compression.encoder.search import BASIS_KINDS, PART_COUNTS, Candidates, coarsen_mesh, step_for_error
 from mixseq.compression.encoder.trial import try_step
 from mixseq.sequence.sequence import load_frames
 from tests.meshes import bar, grid, joined, torus
@@ -37,7 +38,8 @@ def test_a_coarse_mesh_tells_about_the_same(way: search.Layout, monkeypatch: pyt
     sequence = load_frames(bar(sides=24, rings=120, frames=9))
     graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
     monkeypatch.setattr(search, "COARSE_VERTICES", 1200)
-    ways = Candidates(sequence, graph, trajectory_components(sequence, 1e-3), 1e-3, 1.0)
+    labels = initial_parts(sequence, PART_COUNTS)
+    ways = Candidates(sequence.header.faces, graph, labels, trajectory_components(sequence, 1e-3), 1e-3, 1.0)
     whole, coarse = ways.on_mesh(ways.whole_mesh, way), ways.on_mesh(ways.coarse_mesh, way)
     assert 0.2 < coarse.share < 0.5 < whole.share == 1
     assert step_for_error(coarse, 1.0) == pytest.approx(step_for_error(whole, 1.0), rel=0.1)
@@ -49,7 +51,7 @@ def test_a_coarse_mesh_tells_about_the_same(way: search.Layout, monkeypatch: pyt
 def test_small_meshes_are_not_made_coarser() -> None:
     sequence = load_frames(bar(sides=6, rings=20, frames=5))
     graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
-    ways = Candidates(sequence, graph, trajectory_components(sequence, 1e-3), 1e-3, 0.1)
+    ways = Candidates(sequence.header.faces, graph, {}, trajectory_components(sequence, 1e-3), 1e-3, 0.1)
     assert ways.part_counts[0] == 1
     coarse = ways.on_mesh(ways.coarse_mesh, (BASIS_KINDS[0], 1))
     np.testing.assert_array_equal(coarse.graph.order, graph.order)
