@@ -31,12 +31,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import combinations, permutations
 from typing import cast
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.rigid import aligning_rotations, kabsch
@@ -344,7 +342,7 @@ class Mirror:
         if component_of_vertex[vertex] != component:
             return None
         point = (self.mesh.points[vertex] - surface.centre) / surface.size
-        coarse_vertex = int(self._point_tree.query(point)[1])
+        coarse_vertex = int(np.linalg.norm(surface.points - point, axis=1).argmin())
         partner = partners[coarse_vertex]
         round_trip, partner_distance = self.body.distances[coarse_vertex, [partners[partner], partner]]
         if round_trip > MAX_ROUND_TRIP_DISTANCE or partner_distance < MIN_PARTNER_DISTANCE:
@@ -364,10 +362,6 @@ class Mirror:
             ring = np.unique(np.concatenate([ring, adjacency[ring].indices]))
         rotation, shift = kabsch(-surface.points[ring], surface.points[self.partners[ring]])
         return rotation @ -point + shift, rotation @ -normal
-
-    @cached_property
-    def _point_tree(self) -> cKDTree:
-        return cKDTree(self.body.surface.points)
 
 
 def _is_exchange(pairs: Index) -> bool:

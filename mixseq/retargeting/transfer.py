@@ -157,12 +157,12 @@ def plan_transfer(
                 mixed = replace(mixed, gradients=gradients)
             else:
                 _warn_of_poses(source, poses)
-        if not settings.contacts:
-            return Transfer(header, source, rest, correspondence, mixed, quality, proposal, None, turned)
-        check_numbers(target.header, "contacts are numbers of vertices, and those of the target")
-        run = workers or thread_executor()
-        method, planted = plant_contacts(mixed, source.points, header, settings.contacts, run, progress)
-        return Transfer(header, source, rest, correspondence, method, quality, proposal, planted, turned)
+        planted = None
+        if settings.contacts:
+            check_numbers(target.header, "contacts are numbers of vertices, and those of the target")
+            run = workers or thread_executor()
+            mixed, planted = plant_contacts(mixed, source.points, header, settings.contacts, run, progress)
+        return Transfer(header, source, rest, correspondence, mixed, quality, proposal, planted, turned)
 
 
 def _find_correspondence(

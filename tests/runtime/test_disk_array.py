@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import OutputError
 from mixseq.runtime import low_memory
-from mixseq.runtime.low_memory import DiskArray, RunningStatistics, column_blocks, new_large_array
+from mixseq.runtime.low_memory import DiskArray, RunningStatistics, column_blocks, from_columns, new_large_array
 from mixseq.runtime.parallel import thread_executor
 from tests.meshes import seeds
 
@@ -68,6 +68,16 @@ def test_small_tables_are_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(low_memory, "MAX_BYTES_IN_MEMORY", 4 * 8 * 8 - 1)
     assert isinstance(new_large_array((4, 8)), DiskArray)
     assert isinstance(new_large_array((4, 8), np.float32), np.ndarray)
+
+
+@pytest.mark.parametrize("limit", [0, 1 << 20])
+def test_tables_are_made_of_columns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(low_memory, "MAX_BYTES_IN_MEMORY", limit)
+    monkeypatch.setattr(low_memory, "_MAX_TILE_COLUMNS", 3)
+    table = np.arange(40.0).reshape(5, 8)
+    made = from_columns(table.shape, lambda columns: table[:, columns])
+    assert isinstance(made, DiskArray) == (not limit)
+    np.testing.assert_array_equal(made[1:4], table[1:4])
 
 
 def test_many_rows_come_in_narrow_blocks() -> None:

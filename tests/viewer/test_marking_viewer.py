@@ -199,9 +199,17 @@ def test_a_marker_is_chosen_moved_and_deleted(hand: Hand) -> None:
     eventually(lambda: f"{number + 1} is selected" in hand.text("hint"))
     hand.click(0, "thigh.l")
     assert hand.bones()[number] == ("thigh.l", "nose")
-    hand.page.wait_for_timeout(500)  # until the page has drawn the moved ball
-    hand.click_vertex(0, hand.session.marking.pairs[number].vertices[0])
-    assert hand.session.marking.selected == number
+    ball = hand.session.marking.pairs[number].vertices[0]
+
+    def is_selected() -> bool:
+        hand.click_vertex(0, ball)
+        clicked = hand.session.marking
+        if clicked.selected != number:  # a new pair: the page had not drawn the moved ball
+            hand.button("Undo")
+            eventually(lambda: hand.session.marking is not clicked)
+        return clicked.selected == number
+
+    eventually(is_selected)
     hand.button("Delete")
     eventually(lambda: len(hand.bones()) == count - 1)
     hand.button("Undo")
