@@ -103,6 +103,8 @@ def _moment_rows(moments: Sequence[Mapping[str, float]]) -> Rows:
         "leave at frame {leave_frame:.5g} ({leave:.4g} s), enter at frame {enter_frame:.5g} ({enter:.4g} s); "
         "distance {distance:.2g}, strain {strain:.2g}"
     )
+    if not moments:
+        return [("moments", "none: no loop of half a second or more")]
     return [(f"moment {number}", text.format_map(moment)) for number, moment in enumerate(moments, start=1)]
 
 
@@ -243,7 +245,7 @@ def _dimensions(model: Model) -> dict[str, Any]:
         "dim_edges": edges,
         "edges_per_dim": edges / space.dim,
         "part_vertices": [len(part) for part in space.decomposition.parts],
-        "bodies": space.articulation.body_count,
+        "placements": space.articulation.body_count,
         "joint_faces": int(space.joint_faces.sum()),
         "share": space.projection.share,
     }
@@ -271,7 +273,7 @@ def _rows(facts: dict[str, Any]) -> Rows:
         rows += [*_dimension_rows(facts, facts["triangles"]), size_row(**facts["bytes"])]
     elif facts["bytes"]["total"] is not None:
         rows.append(("size", format_bytes(facts["bytes"]["total"])))
-    return rows + _moment_rows(facts.get("moments", ()))
+    return rows + _moment_rows(facts["moments"]) if "moments" in facts else rows
 
 
 def _topology_rows(report: dict[str, Any]) -> Rows:
@@ -318,7 +320,7 @@ def _dimension_rows(facts: dict[str, Any], triangles: int) -> Rows:
         shapes,
         ("knots", f"{knots}, {facts['correction_knots']:,} of corrections"),
         ("parts", f"{len(parts)} with {_list(parts)} vertices"),
-        ("bodies", f"{facts['bodies']}"),
+        ("placements", f"{facts['placements']}"),
         ("joints", f"{joints:,} faces, {100 * joints / max(triangles, 1):.1f} % of all"),
         ("share", f"{facts['share']:g}"),
     ]

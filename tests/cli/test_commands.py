@@ -108,11 +108,11 @@ def test_info_of_a_model(run: Run) -> None:
     table = rows(succeed(run("info", "model.h5")))
     assert table["model"].strip() == "bar"
     assert table["parts"].strip() == "2 with 31, 31 vertices"
-    assert table["bodies"].strip() == "1"
+    assert table["placements"].strip() == "1"
     facts = json.loads(succeed(run("info", "model.h5", "--json")))
     assert facts["kind"] == "model"
     assert facts["placement"] == "anchored"
-    assert (facts["part_vertices"], facts["bodies"]) == ([31, 31], 1)
+    assert (facts["part_vertices"], facts["placements"]) == ([31, 31], 1)
     assert (facts["time_knots"], facts["placement_knots"], facts["correction_knots"]) == (7, 13, 13)
     model = mixseq.load("model.h5").mixed
     assert (facts["dim"], facts["dim_edges"]) == (model.dim, 2 * 225 + 6)
@@ -143,6 +143,8 @@ def test_info_finds_moments(run: Run, folder: Path) -> None:
     assert best["distance"] < 1e-3
     table = rows(succeed(run("info", "cycle.npz", "--set", "moments=later.npz")))
     assert table["moment 1"].strip().startswith("leave at frame ")
+    mixseq.write("short.npz", cycle[:10])
+    assert rows(succeed(run("info", "short.npz", "--set", "moments=short.npz")))["moments"].strip().startswith("none")
 
 
 def test_info_of_numbered_files(run: Run, folder: Path) -> None:
