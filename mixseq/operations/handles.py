@@ -245,7 +245,6 @@ class DraggedPose:
         ((time, key),) = _sort_by_time(model, handles, kept, None).items()
         is_still = len(model.times) == 1
         solver: Any = StillSolver if is_still else PoseSolver
-        self.model = model
         self._solver = solver(model, key.rows, DEFAULT_SOFTNESS, key.is_free)
         self._time = () if is_still else (time,)
         self._kept_targets = key.targets[len(key.targets) - len(kept) :]

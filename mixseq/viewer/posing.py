@@ -88,7 +88,9 @@ class PoseTool:
     def toggle(self, vertex: int) -> None:
         """Pin a vertex, or remove its pin or handle."""
         targets = dict(self.pending.targets)
-        if targets.pop(vertex, targets) is targets:
+        if vertex in targets:
+            del targets[vertex]
+        else:
             targets[vertex] = None
         self._change(replace(self.pending, targets=targets))
 
@@ -102,16 +104,13 @@ class PoseTool:
         """Set whether the mesh is deformed so that all handles reach their targets."""
         self._change(replace(self.pending, is_exact=is_exact))
 
-    def apply(self, fade: float) -> bool:
-        """Make the pose an edit, which fades in and out in some seconds; return False if there is none."""
+    def apply(self, fade: float) -> None:
+        """Make the pose an edit, which fades in and out in some seconds, if there is one."""
         done, self.pending = self.pending, PendingPose(is_exact=self.pending.is_exact)
-        if not done.handles:
-            return False
-
-        seconds = None if len(self._session.model.times) == 1 else fade  # a still has no motion to fade into
-        edit = partial(pose, handles=done.handles, keep=done.pins, fade=seconds, exact=done.is_exact)
-        self._session.edit("pose", edit)
-        return True
+        if done.handles:
+            seconds = None if len(self._session.model.times) == 1 else fade  # a still has no motion to fade into
+            edit = partial(pose, handles=done.handles, keep=done.pins, fade=seconds, exact=done.is_exact)
+            self._session.edit("pose", edit)
 
     def cancel(self) -> bool:
         """Remove all handles and pins; return False if there are none."""

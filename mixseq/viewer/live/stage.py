@@ -33,7 +33,6 @@ GRAB_RADIUS = 0.06 * SCENE_SIZE
 GRID_CELL = SCENE_SIZE / 2
 """Cell size of the ground's grid, in scene units."""
 
-
 ARRIVAL_SECONDS = 5.0
 """Time after which a page has the camera that was sent; before, it may report its own or half of the sent one."""
 
@@ -363,6 +362,7 @@ class LiveStage:
     def remove_client(self, client: Any) -> None:
         """Remove the state of a closed page."""
         self._sent_cameras.pop(client.client_id, None)
+        self._grabs.pop(client.client_id, None)
 
     def _update_camera(self, client: Any) -> None:
         aspect = client.camera.aspect  # width/height
