@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from mixseq.mesh.rotations import matrix_to_quat
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.pictures.colours import SceneColours
@@ -26,7 +27,7 @@ from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Float, Index
 from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.controls import notify_all
-from mixseq.viewer.live.stage import LiveStage, quaternion, srgb_to_linear
+from mixseq.viewer.live.stage import LiveStage, srgb_to_linear
 from mixseq.viewer.live.viewer import add_bridge, run_server
 from mixseq.viewer.marking import SOURCE, TARGET, Certainty, Marking, MarkingSession, Pair, Trial
 from mixseq.viewer.playback import Playback
@@ -176,8 +177,9 @@ class MarkingStage:
     def set_arrangement(self, arrangement: Arrangement) -> bool:
         """Move the balls with their meshes, and return whether labels must be placed again."""
         turns, self._arrangement = self._arrangement.turns, arrangement
-        for frame, offset, turn in zip(self._frames, arrangement.offsets, arrangement.turns, strict=True):
-            frame.position, frame.wxyz = offset, quaternion(turn)
+        quats = matrix_to_quat(arrangement.rotations)
+        for frame, offset, quat in zip(self._frames, arrangement.offsets, quats, strict=True):
+            frame.position, frame.wxyz = offset, quat
         return turns != arrangement.turns
 
     def turn_between(self, pairs: Index) -> float:

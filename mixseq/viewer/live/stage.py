@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mixseq.mesh.nearest import RayHit, intersect_ray
+from mixseq.mesh.rotations import matrix_to_quat
 from mixseq.pictures.colours import Colouring, SceneColours
 from mixseq.pictures.scene import FIELD_OF_VIEW_DEGREES, SCENE_SIZE, Arrangement, Scene, View, arrange_meshes
 from mixseq.types import ByteArray, Float, Single
@@ -185,8 +186,9 @@ class LiveStage:
         with self._lock, self._server.atomic():
             self._arrangement = arrangement = change(self._arrangement)
             self._ground.visible = not arrangement.is_stacked
-            for index, mesh in enumerate(self._meshes):
-                mesh.position, mesh.wxyz = arrangement.offsets[index], quaternion(arrangement.turns[index])
+            quats = matrix_to_quat(arrangement.rotations)
+            for mesh, offset, quat in zip(self._meshes, arrangement.offsets, quats, strict=True):
+                mesh.position, mesh.wxyz = offset, quat
             for label, position in zip(self._labels, arrangement.label_positions, strict=False):
                 label.position = position
             self._place_balls()
@@ -382,12 +384,6 @@ class LiveStage:
         camera.look_at, camera.position = centre, position
         for client in self._server.get_clients().values():
             self._update_camera(client)
-
-
-def quaternion(turn: float) -> tuple[float, float, float, float]:
-    """Return the quaternion of a turn of `Arrangement.turns`, in degrees."""
-    half = np.radians(turn) / 2
-    return float(np.cos(half)), 0.0, float(-np.sin(half)), 0.0
 
 
 def srgb_to_linear(colours: ByteArray) -> ByteArray:
