@@ -28,11 +28,6 @@ class PosedModel(Model):
 
     posed: tuple[float, Float] | None = None  # a time, and points (V, 3)
 
-    @classmethod
-    def from_model(cls, model: Model, time: float, points: Float) -> PosedModel:
-        """Return a model whose points at a time are ``(V, 3)``."""
-        return cls(**_signals(model), posed=(time, points))
-
     def alone_as(self, body: Body) -> Model:
         """Return the model of another body alone, whose points are not given."""
         return Model(**_signals(super().alone_as(body)))
@@ -138,4 +133,5 @@ class PoseTool:
             self._dragged = key, DraggedPose(model, handles, pending.pins, pending.is_exact)
         dragged = self._dragged[1]
         points = dragged.points(np.array([handle.position for handle in handles]))
-        return PosedModel.from_model(dragged.moved_model() if model.bodies else model, pending.time, points)
+        shown = dragged.moved_model() if model.bodies else model
+        return PosedModel(**_signals(shown), posed=(pending.time, points))
