@@ -28,6 +28,11 @@ class PosedModel(Model):
 
     posed: tuple[float, Float] | None = None  # a time, and points (V, 3)
 
+    @classmethod
+    def from_model(cls, model: Model, time: float, points: Float) -> PosedModel:
+        """Return a model whose points at a time are ``(V, 3)``."""
+        return cls(**_signals(model), posed=(time, points))
+
     def alone_as(self, body: Body) -> Model:
         """Return the model of another body alone, whose points are not given."""
         return Model(**_signals(super().alone_as(body)))
@@ -133,5 +138,4 @@ class PoseTool:
             self._dragged = key, DraggedPose(model, handles, pending.pins, pending.is_exact)
         dragged = self._dragged[1]
         points = dragged.points(np.array([handle.position for handle in handles]))
-        shown = dragged.moved_model() if model.bodies else model
-        return PosedModel(**_signals(shown), posed=(pending.time, points))
+        return PosedModel.from_model(dragged.moved_model() if model.bodies else model, pending.time, points)
