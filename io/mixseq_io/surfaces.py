@@ -75,7 +75,7 @@ class RoundingMonitor:
     def measure(self, frame: int, points: FloatArray, written: FloatArray, corners: FloatArray | None = None) -> None:
         """Measure the distances of points ``(V, 3)`` of a frame from those that are written, or rounded, for them.
 
-        `corners` ``(n, 3)`` have the bounding box of `written`, which is computed without them.
+        `corners` ``(n, 3)`` have the bounding box of `written`; by default it is computed.
         They are not measured where rounding of the largest coordinate is neither visible nor of weight for a promise.
         """
         if points.dtype == np.float32 or not points.size:

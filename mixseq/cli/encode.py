@@ -15,7 +15,7 @@ from mixseq.choices import ORDERS, STILLS, StillName
 from mixseq.cli import files, options
 from mixseq.cli.group import announce, as_bytes, length_text, print_table, progress_bar
 from mixseq.cli.info import bytes_of_frames, coding_facts, coding_rows, dimension_rows, size_row
-from mixseq.cli.options import in_diagonals
+from mixseq.cli.options import in_diagonals, in_diagonals_of_all
 from mixseq.errors import OutputError, SettingsError
 
 if TYPE_CHECKING:
@@ -95,17 +95,13 @@ aiming = options.group(
 def compressed(
     frames: SequenceReader, aim: Mapping[str, Any], progress: Progress, still: StillName | None = None
 ) -> CompressedSequence:
-    """Compress a sequence to a target; a target size is the size of the file, a .glb if `still` is given.
-
-    A length is a different fraction of the diagonal of every body; all are compressed to the smallest fraction.
-    """
+    """Compress a sequence to a target; a target size is the size of the file, a .glb if `still` is given."""
     from mixseq.signals.model import Model
     from mixseq_io.loading import model_or_reader
 
     source = model_or_reader(frames)
     bodies = list(source.frames_of_bodies()) if isinstance(source, Model) else [frames]
-    aims = [in_diagonals(aim, each, "max_error") for each in bodies]
-    aim = min(aims, key=lambda each: each.get("max_error", 0.0))
+    aim = in_diagonals_of_all(aim, bodies)
     if "size" not in aim or len(bodies) > 1:
         return mixseq.compress(source, **aim, progress=progress)
     from mixseq_io.coded.sizes import compress_to_size

@@ -86,13 +86,15 @@ def targets_of_bodies(source: Path, target: Path, body: str | None) -> dict[Path
     return targets
 
 
-def load_or_fit(path: Path, progress: Progress, body: str | None = None, **settings: Any) -> Model:
+def load_or_fit(
+    path: Path, progress: Progress, body: str | None = None, reading: Mapping[str, Any] | None = None, **settings: Any
+) -> Model:
     """Load a model, or fit one to a sequence with settings of `mixseq.fit`."""
     if is_model(path):
         return load_body(path, body)
     if body is not None:
         raise SettingsError(f"{path} is a sequence, which has one body; leave out --body")
-    with mixseq.open_sequence(path) as reader:
+    with mixseq.open_sequence(path, **(reading or {})) as reader:
         return mixseq.fit(reader, progress=progress, **settings)
 
 

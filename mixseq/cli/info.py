@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import history_rows, is_model, load_or_fit
+from mixseq.cli.files import history_rows, is_model, load_or_fit, options_of, read_sequence
 from mixseq.cli.group import format_bytes, length_text, print_json, print_table, progress_bar
 from mixseq.sequence.frame_rates import format_frames, format_rate, time_to_number
 
@@ -68,24 +68,25 @@ def command(path: Path, moments: Path | None, as_json: bool, reading: dict[str, 
             header = reader.header
             facts |= {"kind": "sequence", **_mesh(header, reference_diagonal(reader.blocks(1)).length)}
     if moments is not None:
-        facts["moments"] = _find_moments(path, moments, quiet)
+        facts["moments"] = _find_moments(path, moments, reading, quiet)
     if as_json:
         print_json(facts | {"provenance": header.provenance and header.provenance.to_plain()})
     elif not quiet:
         print_table([*_rows(facts), *history_rows(header)])
 
 
-def _find_moments(path: Path, other: Path, quiet: bool) -> list[dict[str, float]]:
+def _find_moments(path: Path, other: Path, reading: Mapping[str, Any], quiet: bool) -> list[dict[str, float]]:
     """Find the moments to leave a file for another one, or the loops of one; sequences are fitted."""
     from mixseq.operations import find_moments, fit_shots
 
     with progress_bar(quiet) as progress:
-        if path.samefile(other):
-            a = b = load_or_fit(path, progress)
+        if path.resolve() == other.resolve():
+            a = b = load_or_fit(path, progress, reading=reading)
         elif is_model(path) or is_model(other):
-            a, b = (load_or_fit(each, progress) for each in (path, other))
+            a, b = (load_or_fit(each, progress, reading=options_of(each, reading)) for each in (path, other))
         else:
-            a, b = fit_shots([mixseq.read(each) for each in (path, other)], progress=progress)
+            shots = [read_sequence(each, options_of(each, reading), progress) for each in (path, other)]
+            a, b = fit_shots(shots, progress=progress)
         moments = find_moments(a, None if a is b else b)
     return [
         moment._asdict()

@@ -6,7 +6,7 @@ Rare options are settings: ``--joint-width 2`` can be written ``--set joint_widt
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -278,6 +278,12 @@ def in_diagonals(settings: Mapping[str, Any], frames: Frames, *names: str) -> di
             )
         converted[name] = float(match[1]) * UNITS[match[2]] / diagonal
     return converted
+
+
+def in_diagonals_of_all(settings: Mapping[str, Any], sequences: Iterable[Frames]) -> dict[str, Any]:
+    """Return settings with a length `max_error` converted to the smallest of its fractions of several sequences."""
+    converted = (in_diagonals(settings, frames, "max_error") for frames in sequences)
+    return min(converted, key=lambda settings: settings.get("max_error", 0.0))
 
 
 def _angles(text: str) -> tuple[float, float]:

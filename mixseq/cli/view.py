@@ -31,7 +31,7 @@ from mixseq.cli.files import (
     write_frames,
 )
 from mixseq.cli.group import announce, needed, progress_bar, say
-from mixseq.cli.options import in_diagonals
+from mixseq.cli.options import in_diagonals_of_all
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.interrupts import acknowledge_signal
 from mixseq.runtime.progress import Progress, log_progress
@@ -393,9 +393,7 @@ def _export(
     from mixseq_io.files import atomic_file
     from mixseq_io.verification import is_compressed, read_compressed
 
-    # A length is a different fraction of the diagonal of every mesh; use the smallest fraction for all meshes.
-    bounds = [in_diagonals(settings, _poses(item), "max_error") for item in colours.scene.items]
-    bound = min(bounds, key=lambda converted: converted.get("max_error", 0.0))
+    bound = in_diagonals_of_all(settings, map(_poses, colours.scene.items))
     compressed = (read_compressed(file) for file in files if is_model(file) and is_compressed(file))
     coded = (body for each in compressed for body in each.all_bodies)
     is_coded = [isinstance(item.motion, CompressedModel) for item in colours.scene.items]

@@ -229,7 +229,7 @@ def pose(
     posed = _fade_changes(model, weights, solvers, changes, kept)
     for number, (time, key) in enumerate(keys.items()):
         points = posed(time)
-        edited = _reach(model, solvers[number], time, points, key.targets, exact)
+        edited = _reach(solvers[number], time, points, key.targets, exact)
         if exact:
             difference = posed.space.shape_difference(posed.curve([time])[0], points, edited)
             posed = add_key_shape(posed, difference, weights.curve(posed, number))
@@ -245,7 +245,6 @@ class DraggedPose:
         ((time, key),) = _sort_by_time(model, handles, kept, None).items()
         is_still = len(model.times) == 1
         solver: Any = StillSolver if is_still else PoseSolver
-        self.model = model
         self._solver = solver(model, key.rows, DEFAULT_SOFTNESS, key.is_free)
         self._time = () if is_still else (time,)
         self._kept_targets = key.targets[len(key.targets) - len(kept) :]
@@ -268,14 +267,12 @@ class DraggedPose:
         return moved
 
 
-def _reach(
-    model: Model, solver: PoseSolver | StillSolver, time: float, points: Float, targets: Float, exact: bool
-) -> Float:
+def _reach(solver: PoseSolver | StillSolver, time: float, points: Float, targets: Float, exact: bool) -> Float:
     """Return the points ``(V, 3)`` deformed so that handles are exact, if asked for; otherwise warn of misses."""
     misses = targets - solver.positions(points)
     if exact:
-        return points + displacement_basis(model, solver.rows, points) @ misses
-    if (miss := float(np.linalg.norm(misses, axis=1).max()) / model.space.scale) > MAX_SILENT_MISS:
+        return points + displacement_basis(solver.model, solver.rows, points) @ misses
+    if (miss := float(np.linalg.norm(misses, axis=1).max()) / solver.space.scale) > MAX_SILENT_MISS:
         warnings.warn(
             f"at {time:g} s a handle misses its target by {miss:.2g} diagonals, where the poses of the model do "
             "not reach; give a nearer target, or exact=True to deform the mesh around it",
@@ -289,7 +286,7 @@ def _pose_still(model: Model, keys: dict[float, Key], solvers: Sequence[StillSol
     """Fit a model to a still at its time and to its poses with handles at targets."""
     poses = {float(model.times[0]): model(model.start)}
     for solver, (time, key) in zip(solvers, keys.items(), strict=True):
-        poses[time] = _reach(model, solver, time, solver.points(solver.solve(key.targets)), key.targets, exact)
+        poses[time] = _reach(solver, time, solver.points(solver.solve(key.targets)), key.targets, exact)
     times = np.array(sorted(poses))
     header = replace(model.header, times=times, provenance=as_edited(model.header.provenance))
     frames = MeshSequence.from_header(header, np.stack([poses[time] for time in times.tolist()]))

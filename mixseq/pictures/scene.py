@@ -427,12 +427,8 @@ class Arrangement:
         """Turn and move local points ``(V, 3)`` of a mesh to scene coordinates."""
         return np.asarray(local @ self.rotations[index].T + self.offsets[index], dtype=np.float32)
 
-    def to_scene(self, index: int, points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Transform points ``(V, 3)`` of a mesh to scene coordinates."""
-        return self.place(index, self.to_local(index, points))
-
     def to_mesh(self, index: int, point: Float) -> Float:
-        """Transform a point ``(3,)`` in scene coordinates to those of a mesh, the inverse of `to_scene`."""
+        """Transform a point ``(3,)`` in scene coordinates to those of a mesh, the inverse of `to_local` and `place`."""
         local = (point - self.offsets[index]) @ self.rotations[index]
         return np.asarray(np.roll(local / self.scale, UP_AXES.index(self.up_axes[index]) - 1))
 

@@ -196,8 +196,8 @@ class MixedTransfer(PickledWithoutCaches):
         self, poses: PartPoses, part_vertices: Float, lengths: Float, angles: Float, offsets: Float
     ) -> Float:
         """Return the target ``(V', 3)`` with posed parts and solved joints."""
-        weights = length_weights(self._rest_lengths), self._offset_weights
-        frame = JointFrame(lengths, angles, weights[0], part_vertices, *poses, offsets, weights[1])
+        weights = length_weights(self._rest_lengths)
+        frame = JointFrame(lengths, angles, weights, part_vertices, *poses, offsets, self._offset_weights)
         return self.joint_solver.solve(frame, self.settings)[0] * self.gradients.target.scale
 
     @cached_property

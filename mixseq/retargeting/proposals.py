@@ -333,18 +333,14 @@ class Mirror:
 
     def find_partner(self, vertex: int) -> int | None:
         """Return the mirrored vertex, or None if uncertain, in the middle, or outside the largest component."""
-        surface, partners, component_of_vertex = (
-            self.body.surface,
-            self.partners,
-            self.mesh.topology.component_of_vertex,
-        )
+        surface, component_of_vertex = self.body.surface, self.mesh.topology.component_of_vertex
         component = component_of_vertex[surface.vertices[self.body.is_own][0]]
         if component_of_vertex[vertex] != component:
             return None
         point = (self.mesh.points[vertex] - surface.centre) / surface.size
         coarse_vertex = int(np.linalg.norm(surface.points - point, axis=1).argmin())
-        partner = partners[coarse_vertex]
-        round_trip, partner_distance = self.body.distances[coarse_vertex, [partners[partner], partner]]
+        partner = self.partners[coarse_vertex]
+        round_trip, partner_distance = self.body.distances[coarse_vertex, [self.partners[partner], partner]]
         if round_trip > MAX_ROUND_TRIP_DISTANCE or partner_distance < MIN_PARTNER_DISTANCE:
             return None
         mirrored, mirrored_normal = self._mirror_point(coarse_vertex, point, self.mesh.vertex_normals[vertex])

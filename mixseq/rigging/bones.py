@@ -455,13 +455,6 @@ def fit_rigid_motion(tracks: Float, rest: Float, vertices: Index) -> Float:
     return transpose_motion(*kabsch(rest[vertices], positions))
 
 
-def label_vertices(faces: Index, labels: Index, vertex_count: int) -> Index:
-    """Return the most frequent (then lowest) label ``(V,)`` of the triangles at every vertex; 0 without triangles."""
-    votes = np.zeros((vertex_count, int(labels.max()) + 1), dtype=np.int64)
-    np.add.at(votes, (faces.reshape(-1), np.repeat(labels, 3)), 1)
-    return np.asarray(votes.argmax(axis=1), dtype=np.int64)
-
-
 def merge_bones(tracks: Float, labels: Index, count: int) -> Index:
     """Merge labels ``(V,)`` to `count` bones, first those whose common rigid motion increases the error least."""
     labels = np.unique(labels, return_inverse=True)[1]

@@ -29,6 +29,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from mixseq.errors import InvalidSequenceError, SegmentationError, SettingsError
+from mixseq.mesh.polygons import label_vertices
 from mixseq.mesh.topology import Topology
 from mixseq.rigging.bone_tree import Joints, attach_joints, build_bone_tree, fit_motions
 from mixseq.rigging.bones import (
@@ -36,7 +37,6 @@ from mixseq.rigging.bones import (
     Centred,
     bind,
     fit_rigid_motion,
-    label_vertices,
     merge_bones,
     project_to_rotations,
     seed_bones,

@@ -21,8 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from mixseq.mesh.polygons import label_vertices
 from mixseq.mesh.topology import Topology
-from mixseq.rigging.bones import Centred, label_vertices, merge_bones
+from mixseq.rigging.bones import Centred, merge_bones
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.segmentation.methods import segment

@@ -145,10 +145,8 @@ def with_body(
     6
     """
     body = make_body(model, cast("Frames", keys), name, parts, np.eye(3) if turn is None else turn)
-    own, times = (
-        make_body(model, key_poses(model), name, None, np.eye(3)),
-        model.times[sample_frame_ids(len(model.times))],
-    )
+    own = make_body(model, key_poses(model), name, None, np.eye(3))
+    times = model.times[sample_frame_ids(len(model.times))]
     pairs = zip(model.alone_as(own).blocks(times), model.blocks(times), strict=True)
     gap = max(float(np.linalg.norm(a - b, axis=2).max()) for a, b in pairs) / model.space.scale
     if gap > VISUALLY_LOSSLESS_TOLERANCE:

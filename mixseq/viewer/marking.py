@@ -166,8 +166,8 @@ class MarkingSession(JobQueue[Callable[[], None]]):
         self.doubt = ""
         self._mirrors: tuple[Mirror, Mirror] | None = None
         self._mirrored_pairs: dict[tuple[int, int], Pair | None] = {}
-        self._examination: tuple[tuple[Pair, ...], Examination] | None = None
-        self._trial: tuple[tuple[Pair, ...], Trial] | None = None
+        self._examinations: dict[tuple[Pair, ...], Examination] = {}
+        self._trials: dict[tuple[Pair, ...], Trial] = {}
         self.work = ""
         initial_jobs = [] if len(markers) else [self._suggest]
         super().__init__(listener.on_failure, [*initial_jobs, self._find_mirrors, self._examine])
@@ -190,14 +190,12 @@ class MarkingSession(JobQueue[Callable[[], None]]):
     @property
     def examination(self) -> Examination | None:
         """Examination of the current pairs, or None until it is computed."""
-        result = self._examination
-        return result[1] if result is not None and result[0] == self.marking.pairs else None
+        return self._examinations.get(self.marking.pairs)
 
     @property
     def trial(self) -> Trial | None:
-        """The last transfer that was tried, or None after a change of the pairs."""
-        result = self._trial
-        return result[1] if result is not None and result[0] == self.marking.pairs else None
+        """Trial of a transfer with the current pairs, or None if it was not tried."""
+        return self._trials.get(self.marking.pairs)
 
     @property
     def has_changes(self) -> bool:
@@ -317,11 +315,9 @@ class MarkingSession(JobQueue[Callable[[], None]]):
 
     def _examine(self) -> None:
         pairs = self.marking.pairs
-        if self._examination is not None and self._examination[0] == pairs:
-            return
-        if pairs:
+        if pairs and pairs not in self._examinations:
             self._set_work("finding a map")
-            self._examination = pairs, examine_markers(*self._meshes, Marking(pairs).markers)
+            self._examinations[pairs] = examine_markers(*self._meshes, Marking(pairs).markers)
 
     def _try_transfer(self) -> None:
         self._set_work("trying a transfer")
@@ -334,4 +330,4 @@ class MarkingSession(JobQueue[Callable[[], None]]):
         for letter, each in zip(ascii_uppercase, verdict.findings, strict=False):
             when = "at rest" if each.frame is None else planned.header.frame_name(each.frame)
             found.append((letter, each.vertex, each.message if each.vertex is None else f"{when}: {each.message}"))
-        self._trial = pairs, Trial(verdict.text, tuple(found))
+        self._trials[pairs] = Trial(verdict.text, tuple(found))

@@ -28,11 +28,6 @@ class PosedModel(Model):
 
     posed: tuple[float, Float] | None = None  # a time, and points (V, 3)
 
-    @classmethod
-    def from_model(cls, model: Model, time: float, points: Float) -> PosedModel:
-        """Return a model whose points at a time are ``(V, 3)``."""
-        return cls(**_signals(model), posed=(time, points))
-
     def alone_as(self, body: Body) -> Model:
         """Return the model of another body alone, whose points are not given."""
         return Model(**_signals(super().alone_as(body)))
@@ -88,7 +83,9 @@ class PoseTool:
     def toggle(self, vertex: int) -> None:
         """Pin a vertex, or remove its pin or handle."""
         targets = dict(self.pending.targets)
-        if targets.pop(vertex, targets) is targets:
+        if vertex in targets:
+            del targets[vertex]
+        else:
             targets[vertex] = None
         self._change(replace(self.pending, targets=targets))
 
@@ -102,16 +99,13 @@ class PoseTool:
         """Set whether the mesh is deformed so that all handles reach their targets."""
         self._change(replace(self.pending, is_exact=is_exact))
 
-    def apply(self, fade: float) -> bool:
-        """Make the pose an edit, which fades in and out in some seconds; return False if there is none."""
+    def apply(self, fade: float) -> None:
+        """Make the pose an edit, which fades in and out in some seconds, if there is one."""
         done, self.pending = self.pending, PendingPose(is_exact=self.pending.is_exact)
-        if not done.handles:
-            return False
-
-        seconds = None if len(self._session.model.times) == 1 else fade  # a still has no motion to fade into
-        edit = partial(pose, handles=done.handles, keep=done.pins, fade=seconds, exact=done.is_exact)
-        self._session.edit("pose", edit)
-        return True
+        if done.handles:
+            seconds = None if len(self._session.model.times) == 1 else fade  # a still has no motion to fade into
+            edit = partial(pose, handles=done.handles, keep=done.pins, fade=seconds, exact=done.is_exact)
+            self._session.edit("pose", edit)
 
     def cancel(self) -> bool:
         """Remove all handles and pins; return False if there are none."""
@@ -139,4 +133,5 @@ class PoseTool:
             self._dragged = key, DraggedPose(model, handles, pending.pins, pending.is_exact)
         dragged = self._dragged[1]
         points = dragged.points(np.array([handle.position for handle in handles]))
-        return PosedModel.from_model(dragged.moved_model() if model.bodies else model, pending.time, points)
+        shown = dragged.moved_model() if model.bodies else model
+        return PosedModel(**_signals(shown), posed=(pending.time, points))

@@ -15,7 +15,7 @@ from typing import Annotated, Generic, Protocol, TypeVar
 from msgspec import DecodeError, Meta, Struct
 from msgspec.json import Decoder
 
-from mixseq.errors import OutputError
+from mixseq.errors import OutputError, SettingsError
 from mixseq.operations.retiming import retime
 from mixseq.operations.script import format_script
 from mixseq.pictures.scene import Scene
@@ -297,9 +297,9 @@ class Session(JobQueue[_Job]):
     def _write(self, path: Path, shown: tuple[int, str], history: EditHistory, replace: bool) -> None:
         (first, body), step = shown, history.current
         try:
-            edits = [each.edit for each in history.states[: history.index + 1] if each.edit is not None]
             is_script = path.suffix.lower() == ".toml"
-            message = self._save(path, format_script(edits) if is_script else step.of_body(body), replace)
+            edited = _script_of(history) if is_script else step.of_body(body)
+            message = self._save(path, edited, replace)
         except Exception as error:
             self._report_failure("save", error)
         else:
@@ -340,3 +340,12 @@ class Session(JobQueue[_Job]):
             self._listener.on_edit(self)
         except Exception as error:
             self._report_failure("drawing charts", error)
+
+
+def _script_of(history: EditHistory) -> str:
+    """Return the text of a script with the edits up to the current step; retimings do not depend on the body."""
+    steps = [step for step in history.states[: history.index + 1] if step.edit is not None]
+    names = {step.model.header.name: None for step in steps if not step.keys}
+    if len(names) > 1:
+        raise SettingsError(f"a script edits one body, and these edits were made on {', '.join(names)}; save a model")
+    return format_script([step.edit for step in steps if step.edit is not None])

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 import mixseq
-from mixseq.rigging.bones import label_vertices
+from mixseq.mesh.polygons import label_vertices
 from mixseq.rigging.decomposition import decompose_tracks
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.segmentation.methods import segment

@@ -143,6 +143,12 @@ def test_info_finds_moments(run: Run, folder: Path) -> None:
     assert best["distance"] < 1e-3
     table = rows(succeed(run("info", "cycle.npz", "--set", "moments=later.npz")))
     assert table["moment 1"].strip().startswith("leave at frame ")
+    mixseq.write("cycle_##.obj", cycle)
+    slow = ("info", "cycle_##.obj", "--json", "--input-fps", "12", "--set", "start_frame=5")
+    for other in ("cycle_##.obj", "later.npz"):
+        [best, *_] = json.loads(succeed(run(*slow, "--set", f"moments={other}")))["moments"]
+        assert best["leave_frame"] == pytest.approx(12 * best["leave"])
+        assert best["leave_frame"] >= 5
     mixseq.write("short.npz", cycle[:10])
     assert rows(succeed(run("info", "short.npz", "--set", "moments=short.npz")))["moments"].strip().startswith("none")
 

@@ -152,7 +152,7 @@ def test_faces_out_of_range(path: Path, plain: MeshSequence) -> None:
 def test_a_model_is_sampled(path: Path, plain: MeshSequence, monkeypatch: pytest.MonkeyPatch) -> None:
     with h5py.File(path, "w") as file:
         file.attrs["format"] = np.bytes_("mixseq-model")
-    model = SimpleNamespace(frames=LazyFrames(plain.header, plain.blocks))
+    model = SimpleNamespace(header=plain.header, frames=LazyFrames(plain.header, plain.blocks))
     monkeypatch.setattr("mixseq_io.loading.load", lambda path: model)
     np.testing.assert_array_equal(read(path).points, plain.points)
 

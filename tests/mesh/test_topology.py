@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csgraph
 
+from mixseq.mesh.polygons import label_vertices
 from mixseq.mesh.topology import (
     Topology,
     dilate_vertices,
@@ -221,3 +222,9 @@ def test_spread_is_the_largest_depth_less_the_distance(seed: int, deepest: int) 
         for vertex, distance in hops.items():
             expected[vertex] = max(expected[vertex], depth[start] - distance)
     np.testing.assert_array_equal(propagate_depth(topology, depth), expected)
+
+
+def test_vertices_have_the_label_of_most_triangles() -> None:
+    faces = np.array([[0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5]])
+    assert label_vertices(faces, np.array([0, 1, 3, 3]), 7).tolist() == [0, 0, 0, 1, 1, 1, 0]
+    assert label_vertices(faces[:0], np.zeros(0, dtype=np.int64), 2).tolist() == [0, 0]

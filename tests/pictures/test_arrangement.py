@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
 from mixseq.pictures.raster import draw_mesh
@@ -44,10 +45,14 @@ def scene_of(*sequences: MeshSequence) -> Scene:
     return Scene(tuple(SceneItem(sequence.header.name, load_frames(sequence)) for sequence in sequences))
 
 
+def in_scene(found: Arrangement, index: int, points: FloatArray) -> NDArray[np.float32]:
+    return found.place(index, found.to_local(index, points))
+
+
 def placed(scene: Scene, found: Arrangement) -> list[Float]:
     """Points (T, V, 3) of all meshes over the scene."""
     return [
-        np.stack([found.to_scene(index, item.pose(scene.elapsed(frame))) for frame in range(scene.count)]).astype(
+        np.stack([in_scene(found, index, item.pose(scene.elapsed(frame))) for frame in range(scene.count)]).astype(
             np.float64
         )
         for index, item in enumerate(scene.items)
@@ -122,9 +127,9 @@ def test_any_axis_may_point_up(axis: str, order: list[int]) -> None:
     scene = scene_of(sequence)
     found = arrange_meshes(scene, side_by_side=True)
     turned = points[:, order]
-    moved = found.to_scene(0, sequence.points[0])
+    moved = in_scene(found, 0, sequence.points[0])
     spun = found.turned(0, 40.0)
-    np.testing.assert_allclose(spun.to_mesh(0, spun.to_scene(0, points)[1]), points[1], atol=1e-5)
+    np.testing.assert_allclose(spun.to_mesh(0, in_scene(spun, 0, points)[1]), points[1], atol=1e-5)
     assert moved.dtype == np.float32
     shift = moved - found.scale * turned
     np.testing.assert_allclose(shift - shift[0], 0, atol=1e-5)

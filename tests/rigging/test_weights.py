@@ -14,7 +14,6 @@ from mixseq.rigging.bones import (
     Binding,
     bind,
     fit_rigid_motion,
-    label_vertices,
     merge_bones,
     seed_bones,
     transpose_motion,
@@ -148,11 +147,6 @@ def test_bones_are_seeded_where_vertices_are_worst_explained() -> None:
     found = seed_bones(tracks, alone, 1, 5)
     np.testing.assert_allclose(found[0], motions[1], atol=1e-6)
     assert len(seed_bones(tracks, unbound(rest), 3, 5)) == 0
-
-
-def test_labels_of_vertices_are_those_of_most_faces() -> None:
-    faces = np.array([[0, 1, 2], [2, 1, 3], [2, 3, 4]])
-    assert label_vertices(faces, np.array([1, 0, 0]), 6).tolist() == [1, 0, 0, 0, 0, 0]
 
 
 @pytest.mark.parametrize("rank", [0, 1, 3])

@@ -19,7 +19,7 @@ from msgspec.structs import asdict
 from mixseq.compression.compressed_model import CompressedModel
 from mixseq.compression.encoder.compress import compress
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
-from mixseq.operations import key_poses, repeat, with_body
+from mixseq.operations import key_poses, repeat, reverse, with_body
 from mixseq.pictures.charts import HANDLE_COUNT, MAX_CHART_FRAMES, MAX_CHART_POINTS, chart_data
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.sequence.sequence import MeshSequence
@@ -732,8 +732,13 @@ def test_an_edit_of_one_body_is_shown_on_all(bar_model: Model, is_compressed: bo
     assert room.written[0][1].body_names == ("large", herd.header.name)
     assert not session.unsaved
     session.select(1)
-    session.undo()
+    session.edit("reverse", reverse)
     room.done(4)
+    session.save(Path("edits.toml"))
+    eventually(lambda: ["one body" in text for _, text in room.told.failures] == [True])
+    session.undo()
+    session.undo()
+    room.done(6)
     assert session.history.index == 0
     assert room.shown(1) is session.model
     room.close()

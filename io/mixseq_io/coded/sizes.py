@@ -70,7 +70,7 @@ def compress_to_size(
 
 def file_size(coded: CompressedSequence, still: StillName | None = None) -> int:
     """Return the size in bytes of the file of a sequence: a .glb with a still, or HDF5 if `still` is None."""
-    return _size_with(pack(coded) if still is None else StillBody.from_sequence(coded), still)
+    return _h5_size(pack(coded)) if still is None else glb_size([StillBody.from_sequence(coded)], still)
 
 
 class StaticSize(NamedTuple):
@@ -100,27 +100,25 @@ def static_size(
     origin = choose_origin(points)
     container = _pack_without_signals(header, origin, uv_steps, uv_error, order, chunk)
     body = StillBody(container, header, points, origin)
-    total = _size_with(container if still is None else body, still)
+    total = _h5_size(container) if still is None else glb_size([body], still)
     connectivity, surface, _, *uv_sizes = map(len, header_streams(header, uv_steps))
     parts = {"faces": connectivity, "texture coordinates and the like": surface + sum(uv_sizes)}
     cures = ["give more"]
     if uv_sizes:
         cures.insert(0, "leave out texture coordinates (--no-uvs)")
     if still is not None:
-        parts["the first frame"] = total - _size_with(body, "none")
+        parts["the first frame"] = total - glb_size([body], "none")
         if parts["the first frame"] > 0:
             cures.insert(0, "leave out the first frame (--still none)")
     parts["the container"] = total - sum(parts.values())
     return StaticSize(total, parts, cures)
 
 
-def _size_with(contents: Container | StillBody, still: StillName | None) -> int:
-    """Return the size of a file: a .glb of a body with a still, HDF5 of a container."""
-    if isinstance(contents, StillBody):
-        return glb_size([contents], still or "none")
+def _h5_size(container: Container) -> int:
+    """Return the size of the HDF5 file of a container."""
     buffer = BytesIO()
     with h5py.File(buffer, "w", libver=H5_VERSIONS) as file:
-        write_container(file, contents)
+        write_container(file, container)
     return buffer.getbuffer().nbytes
 
 

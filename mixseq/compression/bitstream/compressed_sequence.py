@@ -29,12 +29,12 @@ from mixseq.compression.bitstream.spatial_basis import (
     affine_basis,
     assemble_basis,
     decode_face_labels,
-    label_vertices,
     part_groups,
     read_basis,
     read_coefficients,
 )
 from mixseq.errors import FormatError, SettingsError
+from mixseq.mesh.polygons import label_vertices
 from mixseq.runtime.lazy import PickledWithoutCaches, connected
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress
@@ -395,7 +395,7 @@ def parts_basis_of(coded: CompressedSequence, basis: SpatialBasis, coefficients:
     header = coded.header
     if coded.parts is None:
         raise FormatError(f"in-betweens are of parts, and no triangle has a label; {DAMAGE_CURE}")
-    labels = label_vertices(coded.parts, header.faces, header.vertex_count)
+    labels = label_vertices(header.faces, coded.parts, header.vertex_count)
     return affine_basis(basis.frames(coefficients[:1])[0], labels, coded.parameters.diagonal)
 
 

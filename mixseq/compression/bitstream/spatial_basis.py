@@ -118,13 +118,6 @@ def decode_face_labels(coded: FaceLabels | None, faces: NDArray[np.integer]) -> 
     return labels
 
 
-def label_vertices(labels: Index, faces: NDArray[np.integer], vertex_count: int) -> Index:
-    """Return the most frequent label of every vertex's triangles, the lowest of several, without unused numbers."""
-    votes = np.zeros((vertex_count, int(labels.max(initial=0)) + 1), dtype=np.int64)
-    np.add.at(votes, (faces.reshape(-1), np.repeat(labels, 3)), 1)
-    return np.unique(votes.argmax(axis=1), return_inverse=True)[1].astype(np.int64)
-
-
 def _face_graph(faces: NDArray[np.integer]) -> SignalGraph:
     """Return the graph of triangles ``(F, 3)`` that share an edge with exactly one other triangle."""
     starts = faces.astype(np.int32).reshape(-1)

@@ -30,10 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, label_vertices
+from mixseq.compression.bitstream.spatial_basis import MAX_PARTS
 from mixseq.compression.encoder.components import PrincipalComponents
 from mixseq.errors import SegmentationError
 from mixseq.mesh.measures import element_blocks
+from mixseq.mesh.polygons import label_vertices
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import two_thread_executor
 from mixseq.segmentation.methods import segment
@@ -65,7 +66,7 @@ def initial_parts(sequence: FrameStore, counts: tuple[int, ...]) -> dict[int, In
     part_count = int(part_of_face.max(initial=0)) + 1
     if part_count == 1 or part_count > MAX_PARTS:
         return {}
-    labels = label_vertices(part_of_face, header.faces, header.vertex_count)
+    labels = label_vertices(header.faces, part_of_face, header.vertex_count)
     return dict(sorted(merge_parts(points, labels, counts).items()))
 
 

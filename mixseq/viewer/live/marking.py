@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from mixseq.mesh.rotations import matrix_to_quat
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.pictures.colours import SceneColours
@@ -26,7 +27,7 @@ from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Float, Index
 from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.controls import notify_all
-from mixseq.viewer.live.stage import LiveStage, quaternion, srgb_to_linear
+from mixseq.viewer.live.stage import LiveStage, srgb_to_linear
 from mixseq.viewer.live.viewer import add_bridge, run_server
 from mixseq.viewer.marking import SOURCE, TARGET, Certainty, Marking, MarkingSession, Pair, Trial
 from mixseq.viewer.playback import Playback
@@ -153,9 +154,7 @@ class MarkedMeshes:
 class MarkingStage:
     """Balls and numbers of markers in the scene of a viser server."""
 
-    def __init__(
-        self, server: Any, meshes: MarkedMeshes, stage: LiveStage, on_click: Callable[[int, int], None]
-    ) -> None:
+    def __init__(self, server: Any, scene: Scene, stage: LiveStage, on_click: Callable[[int, int], None]) -> None:
         from trimesh.creation import icosphere
 
         self._server = server
@@ -168,17 +167,19 @@ class MarkingStage:
         self._arrangement = stage.arrangement
         self.set_arrangement(stage.arrangement)
         self._surfaces = []  # local vertices and normals of each mesh
-        for side, mesh in enumerate((meshes.source, meshes.target)):
-            points = stage.arrangement.to_local(side, meshes.scene.items[side].pose(0.0)).astype(np.float64)
-            self._surfaces.append((points, TriangleMesh(points, Topology(mesh.faces, len(points))).vertex_normals))
+        for side, item in enumerate(scene.items):
+            points = stage.arrangement.to_local(side, item.pose(0.0)).astype(np.float64)
+            topology = Topology(item.header.faces, len(points))
+            self._surfaces.append((points, TriangleMesh(points, topology).vertex_normals))
         ball = icosphere(subdivisions=2, radius=1.0)
         self._ball = np.asarray(ball.vertices), np.asarray(ball.faces)
 
     def set_arrangement(self, arrangement: Arrangement) -> bool:
         """Move the balls with their meshes, and return whether labels must be placed again."""
         turns, self._arrangement = self._arrangement.turns, arrangement
-        for frame, offset, turn in zip(self._frames, arrangement.offsets, arrangement.turns, strict=True):
-            frame.position, frame.wxyz = offset, quaternion(turn)
+        quats = matrix_to_quat(arrangement.rotations)
+        for frame, offset, quat in zip(self._frames, arrangement.offsets, quats, strict=True):
+            frame.position, frame.wxyz = offset, quat
         return turns != arrangement.turns
 
     def turn_between(self, pairs: Index) -> float:
@@ -444,7 +445,7 @@ class MarkingViewer:
         scene = meshes.scene
         camera = settings.camera or VIEWS["Left"]
         self._stage = LiveStage(server, SceneColours(scene), replace(settings, camera=camera), lambda _: None)
-        self._balls = MarkingStage(server, meshes, self._stage, lambda side, row: self.session.click_ball(side, row))
+        self._balls = MarkingStage(server, scene, self._stage, lambda side, row: self.session.click_ball(side, row))
         self._stage.on_rearrange = self._on_rearrange
         playback = Playback(scene, self._stage, self._on_playback_failure, threads=1)
         self._playback = stack.enter_context(playback)
@@ -502,8 +503,8 @@ class MarkingViewer:
 
     def _set_view(self, camera: tuple[float, float]) -> None:
         """See the source from an azimuth and elevation, and the target from the same side by their sure pairs."""
-        poses = [item.pose(0.0)[None] for item in self._playback.scene.items]
-        view = resolve_view(poses[SOURCE], self._playback.scene.items[SOURCE].header.up_axis, camera)
+        source = self._playback.scene.items[SOURCE]
+        view = resolve_view(source.pose(0.0)[None], source.header.up_axis, camera)
         self._stage.set_view(view, (0.0, self._balls.turn_between(self._sure_pairs)))
         self.on_change()
 

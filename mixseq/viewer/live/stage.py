@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mixseq.mesh.nearest import RayHit, intersect_ray
+from mixseq.mesh.rotations import matrix_to_quat
 from mixseq.pictures.colours import Colouring, SceneColours
 from mixseq.pictures.scene import FIELD_OF_VIEW_DEGREES, SCENE_SIZE, Arrangement, Scene, View, arrange_meshes
 from mixseq.types import ByteArray, Float, Single
@@ -32,7 +33,6 @@ GRAB_RADIUS = 0.06 * SCENE_SIZE
 
 GRID_CELL = SCENE_SIZE / 2
 """Cell size of the ground's grid, in scene units."""
-
 
 ARRIVAL_SECONDS = 5.0
 """Time after which a page has the camera that was sent; before, it may report its own or half of the sent one."""
@@ -186,8 +186,9 @@ class LiveStage:
         with self._lock, self._server.atomic():
             self._arrangement = arrangement = change(self._arrangement)
             self._ground.visible = not arrangement.is_stacked
-            for index, mesh in enumerate(self._meshes):
-                mesh.position, mesh.wxyz = arrangement.offsets[index], quaternion(arrangement.turns[index])
+            quats = matrix_to_quat(arrangement.rotations)
+            for mesh, offset, quat in zip(self._meshes, arrangement.offsets, quats, strict=True):
+                mesh.position, mesh.wxyz = offset, quat
             for label, position in zip(self._labels, arrangement.label_positions, strict=False):
                 label.position = position
             self._place_balls()
@@ -363,6 +364,7 @@ class LiveStage:
     def remove_client(self, client: Any) -> None:
         """Remove the state of a closed page."""
         self._sent_cameras.pop(client.client_id, None)
+        self._grabs.pop(client.client_id, None)
 
     def _update_camera(self, client: Any) -> None:
         aspect = client.camera.aspect  # width/height
@@ -382,12 +384,6 @@ class LiveStage:
         camera.look_at, camera.position = centre, position
         for client in self._server.get_clients().values():
             self._update_camera(client)
-
-
-def quaternion(turn: float) -> tuple[float, float, float, float]:
-    """Return the quaternion of a turn of `Arrangement.turns`, in degrees."""
-    half = np.radians(turn) / 2
-    return float(np.cos(half)), 0.0, float(-np.sin(half)), 0.0
 
 
 def srgb_to_linear(colours: ByteArray) -> ByteArray:

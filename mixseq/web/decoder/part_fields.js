@@ -1,5 +1,5 @@
 // The affine basis of in-betweens: in every labelled part, fields 1, x, y and z of the position in the first frame. Mirrors
-// affine_basis and label_vertices of mixseq/compression/bitstream/spatial_basis.py.
+// affine_basis of mixseq/compression/bitstream/spatial_basis.py and label_vertices of mixseq/mesh/polygons.py.
 import { Reader } from "./signal_coder.js";
 import { meshGraph } from "./signal_graph.js";
 import { readLabels } from "./spatial_basis.js";

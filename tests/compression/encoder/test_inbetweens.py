@@ -17,7 +17,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
     parts_basis_of,
 )
 from mixseq.compression.bitstream.signal_coder import Signal
-from mixseq.compression.bitstream.spatial_basis import affine_basis, encode_face_labels, label_vertices
+from mixseq.compression.bitstream.spatial_basis import affine_basis, encode_face_labels
 from mixseq.compression.compressed_model import CompressedModel
 from mixseq.compression.encoder.compress import compress
 from mixseq.compression.encoder.inbetweens import MAX_SIZE_RATIO, _project
@@ -269,11 +269,6 @@ def test_affine_fields_are_orthogonal_and_leave_out_what_is_flat() -> None:
         np.testing.assert_allclose(gram, np.diag(np.diag(gram)), atol=1e-12)
     own = basis.part_bases[0].vectors[:, 0]
     np.testing.assert_allclose(own.T @ np.linalg.lstsq(own.T, points[:7], rcond=None)[0], points[:7], atol=1e-12)
-
-
-def test_vertices_have_the_label_of_most_triangles() -> None:
-    faces = np.array([[0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5]])
-    assert label_vertices(np.array([0, 1, 3, 3]), faces, 7).tolist() == [0, 0, 0, 1, 1, 1, 0]
 
 
 @pytest.mark.parametrize("error", [-1.0, np.inf, "1"])
