@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import select
 import subprocess
 import zlib
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -30,9 +30,6 @@ NAMES = (
 
 SCRIPT = Path(__file__).with_suffix(".mjs")
 """Decodes a file in JavaScript."""
-
-NODE_SECONDS = 60
-"""Wall-clock time of a file in JavaScript."""
 
 FRAMES, TOLERANCE = 400, 1e-4
 """Frames that are compared; largest difference, of JavaScript's single precision, in largest coordinates."""
@@ -72,27 +69,20 @@ class Coding:
         return text, b"".join([head, lengths, crcs, *self.streams])
 
 
-def damage_coding(rng: Random, file: Path) -> str:
+def damage_coding(rng: Random, sound: bytes) -> tuple[str, bytes]:
     """Change facts, streams, counts and lengths of a compressed model; all checksums are right afterwards."""
-    text, binary = split_glb(file.read_bytes())
-    document, buffer = json.loads(text), binary[8:]
+    document, buffer = split_glb(sound)
     views = document["bufferViews"]
     extension = next(each["extensions"]["MIXSEQ_mesh_sequence"] for each in document["meshes"])
     own = [views[extension[key]] for key in ("coding", "streams")]
     coding = Coding.from_bytes(*(buffer[each["byteOffset"] :][: each["byteLength"]] for each in own))
-    label = _mutate(rng, coding)
+    mutations = (_mutate_fact, _mutate_fact, _mutate_stream, _mutate_stream, _mutate_index)
+    labels = [rng.choice(mutations)(rng, coding) for _ in range(rng.choice([1, 1, 1, 2, 3]))]
     for view, part in zip(own, coding.to_bytes(), strict=True):
         view.update(byteOffset=len(buffer), byteLength=len(part))
         buffer += part + bytes(-len(part) % 4)
     document["buffers"][0]["byteLength"] = len(buffer)
-    binary = len(buffer).to_bytes(4, "little") + b"BIN\0" + buffer
-    file.write_bytes(join_glb(json.dumps(document).encode(), binary))
-    return label
-
-
-def _mutate(rng: Random, coding: Coding) -> str:
-    kinds = (_mutate_fact, _mutate_fact, _mutate_stream, _mutate_stream, _mutate_index)
-    return ", ".join(rng.choice(kinds)(rng, coding) for _ in range(rng.choice([1, 1, 1, 2, 3])))
+    return ", ".join(labels), join_glb(document, buffer)
 
 
 def _mutate_fact(rng: Random, coding: Coding) -> str:
@@ -178,21 +168,17 @@ def decode_twice(file: Path) -> np.ndarray[Any, Any]:
 
 def _decode_in_javascript(file: Path) -> str:
     """Decode a .glb by Node.js, which goes on for the next file; return why it is refused, or ""."""
-    if not _drivers or _drivers[-1].poll() is not None:
-        command = ["prlimit", "--as=unlimited", str(node_executable()), str(SCRIPT), str(FRAMES)]
-        _drivers.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
-    driver = _drivers[-1]
-    assert driver.stdin is not None and driver.stdout is not None
-    driver.stdin.write(f"{file}\n")
-    driver.stdin.flush()
-    ready, _, _ = select.select([driver.stdout], [], [], NODE_SECONDS)
-    answer = driver.stdout.readline() if ready else ""
+    node = _node()
+    assert node.stdin is not None and node.stdout is not None
+    print(file, file=node.stdin, flush=True)
+    answer = node.stdout.readline()
     if not answer:
-        driver.kill()
-        driver.wait()
-        raise AssertionError(f"Node.js ended with {driver.returncode}, or took more than {NODE_SECONDS} s")
+        _node.cache_clear()
+        raise AssertionError(f"Node.js ended with {node.wait()}")
     return str(json.loads(answer))
 
 
-_drivers: list[subprocess.Popen[str]] = []
-"""Processes of Node.js that were started; the last one may be running."""
+@cache
+def _node() -> subprocess.Popen[str]:
+    command = ["prlimit", "--as=unlimited", str(node_executable()), str(SCRIPT), str(FRAMES)]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

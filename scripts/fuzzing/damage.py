@@ -1,4 +1,4 @@
-"""Ways to damage a file: functions that change it as a generator of random numbers has it, and return what they did."""
+"""Ways to damage a file: functions of its bytes that return what they did, and the damaged bytes."""
 
 from __future__ import annotations
 
@@ -6,10 +6,8 @@ import io
 import json
 import re
 import struct
-import warnings
 import zipfile
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from random import Random
 from typing import Any
 
@@ -17,7 +15,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-Damage = Callable[[Random, Path], str]
+Damage = Callable[[Random, bytes], tuple[str, bytes]]
+
+NOT_POSSIBLE = (ValueError, TypeError, IndexError, OverflowError, zipfile.BadZipFile)
+"""Errors of a damage that cannot be done to a file."""
 
 ESCAPES = "\x1b]0;gone\x07\x1b[2J\x1b[31m\r\x9b1m\u202e"
 """Control characters that terminals obey: another title, a cleared screen, red, right to left."""
@@ -34,17 +35,18 @@ JSON_VALUES: tuple[Any, ...] = (
     *INTEGERS, *FLOATS, 10**30, True, None, "", "word", ESCAPES, "x" * 100_000, "../x", "SCALAR", "MAT4", 5120,
     [], {}, [0], [[]], [None], {"a": 1}, [1e308] * 16, [float("nan")] * 3, [0] * 4,
 )  # fmt: skip
+PATTERNS = {
+    "number": r"[-+]?\d[\d.eE+-]*",
+    "word": r"[A-Za-z_:]{2,}",
+    "quoted": r"(?<=\")[^\"\n]*(?=\")|(?<=@)[^@\n]*(?=@)",
+    "nest": r"[\[{(=:-]",
+}
+"""Parts of a text that are replaced."""
 
 
-class NotDamagedError(Exception):
-    """A damage that cannot be done to a file."""
-
-
-def damage_bytes(rng: Random, file: Path) -> str:
+def damage_bytes(rng: Random, sound: bytes) -> tuple[str, bytes]:
     """Flip a bit, cut, overwrite, write a number, leave out, or repeat."""
-    data = bytearray(file.read_bytes())
-    if not data:
-        raise NotDamagedError
+    data = bytearray(sound)
     near = min(len(data), 1024)  # structure is at the ends of most files
     at = rng.choice([rng.randrange(len(data)), rng.randrange(near), len(data) - 1 - rng.randrange(near)])
     size = min(rng.choice([1, 4, 16, 100, 1000]), len(data) - at)
@@ -61,47 +63,33 @@ def damage_bytes(rng: Random, file: Path) -> str:
         chunk = data[at : at + size]
         new = {"zeros": bytes(size), "ones": b"\xff" * size, "without": b"", "twice": 2 * chunk}
         data[at : at + size] = new[kind] if kind in new else rng.randbytes(size)
-    file.write_bytes(data)
-    return f"{kind} at {at}, {size}"
+    return f"{kind} at {at}, {size}", bytes(data)
 
 
-def damage_text(rng: Random, file: Path) -> str:
+def damage_text(rng: Random, sound: bytes) -> tuple[str, bytes]:
     """Change a number, a word, a quoted name or a line, or nest brackets."""
-    text = file.read_bytes().decode("utf-8", "surrogateescape")
+    text = sound.decode("utf-8", "surrogateescape")
     kind = rng.choice(["number", "number", "number", "word", "quoted", "line", "line", "nest"])
     if kind == "line":
         lines = text.split("\n")
         at, how = rng.randrange(len(lines)), rng.choice([0, 2, 2000])
         lines[at : at + 1] = [lines[at]] * how
-        changed, label = "\n".join(lines), f"line {at}, {how} times"
-    else:
-        pattern = {
-            "number": r"[-+]?\d[\d.eE+-]*",
-            "word": r"[A-Za-z_:]{2,}",
-            "quoted": r"(?<=\")[^\"\n]*(?=\")|(?<=@)[^@\n]*(?=@)",
-            "nest": r"[\[{(=:-]",
-        }[kind]
-        found = list(re.finditer(pattern, text))
-        if not found:
-            raise NotDamagedError
-        match = rng.choice(found[:20] if rng.random() < 0.4 else found)  # counts come first
-        nested = rng.choice(["[", "{", "(", '{"a":', "- "]) * rng.choice([50, 2000, 100_000])
-        new = nested if kind == "nest" else rng.choice([*WORDS, rng.choice(found).group()])
-        changed = text[: match.start()] + new + text[match.end() :]
-        label = f"{kind} {match.group()[:20]!r} at {match.start()} is {new[:30]!r}"
-    file.write_bytes(changed.encode("utf-8", "surrogateescape"))
-    return label
+        return f"line {at}, {how} times", "\n".join(lines).encode("utf-8", "surrogateescape")
+    found = list(re.finditer(PATTERNS[kind], text))
+    if not found:
+        raise ValueError(f"there is no {kind}")
+    match = rng.choice(found[:20] if rng.random() < 0.4 else found)  # counts come first
+    nested = rng.choice(["[", "{", "(", '{"a":', "- "]) * rng.choice([50, 2000, 100_000])
+    new = nested if kind == "nest" else rng.choice([*WORDS, rng.choice(found).group()])
+    changed = text[: match.start()] + new + text[match.end() :]
+    label = f"{kind} {match.group()[:20]!r} at {match.start()} is {new[:30]!r}"
+    return label, changed.encode("utf-8", "surrogateescape")
 
 
-def damage_json(rng: Random, file: Path) -> str:
+def damage_json(rng: Random, sound: bytes) -> tuple[str, bytes]:
     """Change a value of a JSON file, or of the JSON in a binary glTF file; it stays JSON."""
-    data, binary = file.read_bytes(), b""
-    if data[:4] == b"glTF":
-        data, binary = split_glb(data)
-    try:
-        tree = json.loads(data)
-    except ValueError:
-        raise NotDamagedError from None
+    is_binary = sound[:4] == b"glTF"
+    tree, buffer = split_glb(sound) if is_binary else (json.loads(sound), b"")
     holder, key, where = rng.choice(list(_places(tree, "")))
     value = holder[key]
     kind = rng.choice(["value", "value", "value", "near", "near", "gone", "often"])
@@ -113,21 +101,21 @@ def damage_json(rng: Random, file: Path) -> str:
         del holder[key]
     else:
         holder[key] = rng.choice(JSON_VALUES)
-    text = json.dumps(tree).encode()
-    file.write_bytes(join_glb(text, binary) if binary else text)
-    return f"{where} {kind}"
+    return f"{where} {kind}", join_glb(tree, buffer) if is_binary else json.dumps(tree).encode()
 
 
-def split_glb(data: bytes) -> tuple[bytes, bytes]:
-    """Return the JSON of a binary glTF file, and the chunk of its buffer."""
+def split_glb(data: bytes) -> tuple[Any, bytes]:
+    """Return the JSON of a binary glTF file, and its buffer."""
     end = 20 + int.from_bytes(data[12:16], "little")
-    return data[20:end], data[end:]
+    return json.loads(data[20:end]), data[end + 8 :]
 
 
-def join_glb(text: bytes, binary: bytes) -> bytes:
-    """Return a binary glTF file of what `split_glb` returned."""
+def join_glb(document: Any, buffer: bytes) -> bytes:
+    """Return a binary glTF file."""
+    text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
-    return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(binary), len(text), 0x4E4F534A) + text + binary
+    head = struct.pack("<4sIIII", b"glTF", 2, 28 + len(text) + len(buffer), len(text), 0x4E4F534A)
+    return head + text + struct.pack("<I4s", len(buffer), b"BIN\0") + buffer
 
 
 def _places(tree: Any, where: str) -> Iterator[tuple[Any, Any, str]]:
@@ -138,84 +126,79 @@ def _places(tree: Any, where: str) -> Iterator[tuple[Any, Any, str]]:
         yield from _places(value, f"{where}/{key}")
 
 
-def damage_archive(rng: Random, file: Path) -> str:
+def damage_archive(rng: Random, sound: bytes) -> tuple[str, bytes]:
     """Change an entry of a zip archive, npz or usdz, whose checksums stay right."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            entries = [(name, archive.read(name)) for name in archive.namelist()]
-    except zipfile.BadZipFile:
-        raise NotDamagedError from None
+    with zipfile.ZipFile(io.BytesIO(sound)) as archive:
+        entries = [(name, archive.read(name)) for name in archive.namelist()]
     at = rng.randrange(len(entries))
     name, data = entries[at]
-    kind = rng.choice(["gone", "again", "other name", "bytes", "array", "array", "array", "array"])
-    if kind == "array" and name.endswith(".npy"):
+    label = rng.choice(["gone", "again", "other name", "bytes", "array", "array", "array", "array"])
+    if label == "array" and name.endswith(".npy"):
         label, array = _changed(rng, np.load(io.BytesIO(data), allow_pickle=False))
         stored = io.BytesIO()
         np.save(stored, array, allow_pickle=False)
         entries[at] = (name, stored.getvalue())
-    elif kind == "gone":
-        label = entries.pop(at)[0] and "gone"
-    elif kind == "again":
-        label = "again"
+    elif label == "gone":
+        del entries[at]
+    elif label == "again":
         entries.append((name, data[: len(data) // 2]))
-    elif kind == "other name":
-        label = "other name"
+    elif label == "other name":
         entries[at] = (rng.choice(["..", "../x", "/etc/passwd", ESCAPES, "x" * 60_000, entries[0][0]]), data)
     else:
-        inner = file.with_name("entry")
-        inner.write_bytes(data)
-        label = damage_bytes(rng, inner)
-        entries[at] = (name, inner.read_bytes())
-        inner.unlink()
-    with warnings.catch_warnings(), zipfile.ZipFile(file, "w") as archive:
-        warnings.simplefilter("ignore")  # of names that come twice
-        for each in entries:
-            archive.writestr(zipfile.ZipInfo(each[0], (1980, 1, 1, 0, 0, 0)), each[1])
-    return f"{name} {label}"
+        label, data = damage_bytes(rng, data)
+        entries[at] = (name, data)
+    damaged = io.BytesIO()
+    with zipfile.ZipFile(damaged, "w") as archive:
+        for entry, content in entries:
+            archive.writestr(zipfile.ZipInfo(entry, (1980, 1, 1, 0, 0, 0)), content)
+    return f"{name} {label}", damaged.getvalue()
 
 
-def damage_h5(rng: Random, file: Path) -> str:
+def damage_h5(rng: Random, sound: bytes) -> tuple[str, bytes]:
     """Change a dataset or an attribute of an HDF5 file, whose checksums stay right."""
-    with h5py.File(file, "r+", libver="latest") as opened:
-        datasets: list[str] = []
-        opened.visititems(lambda name, each: datasets.append(name) if isinstance(each, h5py.Dataset) else None)
+    damaged = io.BytesIO(sound)
+    with h5py.File(damaged, "r+", libver="latest") as opened:
         if opened.attrs and rng.random() < 0.25:
-            name = rng.choice(list(opened.attrs))
-            value = opened.attrs[name]
-            if isinstance(value, bytes):  # texts have a fixed length, and may be JSON
-                at = rng.randrange(len(value) or 1)
-                word = rng.choice(WORDS).replace("\x00", "")[:60_000].encode()
-                text = word if rng.random() < 0.5 else value[:at] + word[:1] + value[at + 1 :]
-                opened.attrs.create(name, text, dtype=h5py.string_dtype("utf-8", max(1, len(text))))
-                return f"@{name} is {text[:30]!r}"
-            opened.attrs[name] = value = rng.choice([*INTEGERS, *FLOATS, "word", np.arange(5)])
-            return f"@{name} is {value!r}"
-        name = rng.choice(datasets)
-        label, array = ("gone", None) if rng.random() < 0.1 else _changed(rng, opened[name][...])
-        del opened[name]
-        if array is not None:
-            opened.create_dataset(name, data=array)
-    return f"{name} {label}"
+            label = _damage_attribute(rng, opened.attrs)
+        else:
+            datasets: list[str] = []
+            opened.visititems(lambda name, each: datasets.append(name) if isinstance(each, h5py.Dataset) else None)
+            name = rng.choice(datasets)
+            what, array = ("gone", None) if rng.random() < 0.1 else _changed(rng, opened[name][...])
+            label = f"{name} {what}"
+            del opened[name]
+            if array is not None:
+                opened.create_dataset(name, data=array)
+    return label, damaged.getvalue()
 
 
-def _changed(rng: Random, array: NDArray[Any]) -> tuple[str, Any]:
-    """Return another array, and what it is."""
+def _damage_attribute(rng: Random, attributes: h5py.AttributeManager) -> str:
+    name = rng.choice(list(attributes))
+    value = attributes[name]
+    if not isinstance(value, bytes):
+        attributes[name] = value = rng.choice([*INTEGERS, *FLOATS, "word", np.arange(5)])
+        return f"@{name} is {value!r}"
+    at = rng.randrange(len(value) or 1)
+    word = rng.choice(WORDS).replace("\x00", "")[:60_000].encode()
+    text = word if rng.random() < 0.5 else value[:at] + word[:1] + value[at + 1 :]
+    # texts have a fixed length, and may be JSON
+    attributes.create(name, text, dtype=h5py.string_dtype("utf-8", max(1, len(text))))
+    return f"@{name} is {text[:30]!r}"
+
+
+def _changed(rng: Random, array: NDArray[Any]) -> tuple[str, NDArray[Any]]:
+    """Return what is changed, and another array."""
     kind = rng.choice(["value", "value", "value", "times", "type", "shape"])
-    try:
-        with np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            if kind == "value" and array.size and array.dtype.kind in "fiu":
-                value = rng.choice(FLOATS if array.dtype.kind == "f" else INTEGERS)
-                changed = array.astype("f8" if array.dtype.kind == "f" else "i8")
-                changed.reshape(-1)[rng.randrange(array.size)] = value
-                return f"has {value}", changed.astype(array.dtype)
-            if kind == "times" and array.dtype.kind in "fiu":
-                factor = rng.choice([1e-300, 1e-30, 1e30, 1e150, 1e300, -1, 0])
-                return f"times {factor}", np.asarray(array * factor).astype(array.dtype)
-            if kind == "type":
-                other = rng.choice(TYPES)
-                return f"as {other}", array.astype(other)
-            double = np.concatenate([array] * 2)
-            return kind, rng.choice([array[:0], array[:-1], double, array.reshape(-1), array[None], array.T])
-    except (ValueError, TypeError, IndexError, OverflowError):
-        raise NotDamagedError from None
+    if kind == "value" and array.size and array.dtype.kind in "fiu":
+        value = rng.choice(FLOATS if array.dtype.kind == "f" else INTEGERS)
+        changed = array.astype("f8" if array.dtype.kind == "f" else "i8")
+        changed.reshape(-1)[rng.randrange(array.size)] = value
+        return f"has {value}", changed.astype(array.dtype)
+    if kind == "times" and array.dtype.kind in "fiu":
+        factor = rng.choice([1e-300, 1e-30, 1e30, 1e150, 1e300, -1, 0])
+        return f"times {factor}", np.asarray(array * factor).astype(array.dtype)
+    if kind == "type":
+        other = rng.choice(TYPES)
+        return f"as {other}", array.astype(other)
+    double = np.concatenate([array] * 2)
+    return kind, rng.choice([array[:0], array[:-1], double, array.reshape(-1), array[None], array.T])
