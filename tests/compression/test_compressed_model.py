@@ -215,6 +215,9 @@ def test_compressed_sequences_are_played_as_their_files(bent_bar: MeshSequence, 
 # Several bodies ---------------------------------------------------------------------------------------------
 
 
+STEPS: list[int] = []  # of the progress with which the herd is compressed
+
+
 @cache
 def herd() -> CompressedSequence:
     """A bar, a large one, and one that bends alike and has other vertices."""
@@ -223,7 +226,8 @@ def herd() -> CompressedSequence:
     order = np.random.default_rng(0).permutation(keys.vertex_count)
     other = mixseq.MeshSequence.from_arrays(1.5 * keys.points[:, order], np.argsort(order)[keys.faces], fps=1.0)
     large = with_body(thin, keys.with_points(2.0 * keys.points), "large")
-    return mixseq.compress(with_body(large, other, "other", thin.parts), max_error=1e-4)
+    model = with_body(large, other, "other", thin.parts)
+    return mixseq.compress(model, max_error=1e-4, progress=lambda done, total, what: STEPS.append(done))
 
 
 def test_every_body_is_what_its_streams_decode_to(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -241,6 +245,11 @@ def test_every_body_is_what_its_streams_decode_to(monkeypatch: pytest.MonkeyPatc
         assert np.linalg.norm(frames - factor * thin, axis=2).max() <= 1e-4 * body.parameters.diagonal
     with pytest.raises(SettingsError, match="there is no body 'camel'; bodies are 'bar', 'large', 'other'"):
         model.body("camel")
+
+
+def test_the_progress_of_bodies_goes_on() -> None:
+    herd()
+    assert sorted(STEPS) == STEPS and STEPS[-1] > 250  # of 300
 
 
 def test_between_frames_a_body_is_fitted_as_if_it_were_alone() -> None:

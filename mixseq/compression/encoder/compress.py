@@ -140,9 +140,10 @@ def compress(
         }
         if size is not None and sequence.body_names[1:]:
             raise SettingsError("size is for one body, and the model has several; give max_error or kg")
+        stages, bodies = StagedProgress(progress, len(sequence.body_names), 100), sequence.frames_of_bodies()
         first, *others = (
-            replace(compress(frames, max_error, kg, size, progress, **options), relation=relation)
-            for frames, relation in zip(sequence.frames_of_bodies(), sequence.relations, strict=True)
+            replace(compress(frames, max_error, kg, size, stages.at(number), **options), relation=relation)
+            for number, (frames, relation) in enumerate(zip(bodies, sequence.relations, strict=True))
         )
         return replace(first, bodies=tuple(others))
     sequence = cast("Frames", sequence)
