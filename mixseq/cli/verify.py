@@ -54,7 +54,9 @@ def command(
     elif not quiet:
         for name, each in {"": replace(result, bodies={}), **result.bodies}.items():
             worst = None if frames is None or each.worst_frame is None else frames.header.frame_number(each.worst_frame)
-            print_table([*([("body", name)] if name else []), *_rows(each, worst)])
+            is_missing = original is not None and each.max_error is None
+            missing = [("compared", "no: ORIGINAL has no body of this name")] if is_missing else []
+            print_table([*([("body", name)] if name else []), *_rows(each, worst), *missing])
     if not result.holds:
         click.get_current_context().exit(1)
 

@@ -101,6 +101,8 @@ def test_all_bodies_are_compressed(run: Run, stored: Path, herd: Model, suffix: 
         assert 0 < body["max_error"] <= body["bound"] <= 0.0051
         assert body["holds"]
     assert "body         large" in run("verify", f"small.{suffix}", "herd.h5").stdout
+    mixseq.save("alone.h5", replace(herd, bodies=()))
+    assert "compared  no: ORIGINAL has no body of this name" in run("verify", f"small.{suffix}", "alone.h5").stdout
     assert run("decode", f"small.{suffix}", "all_{body}.npz", "--quiet").exit_code == 0
     for name in herd.body_names:
         difference = mixseq.read(f"all_{name}.npz").points - herd.body(name).sample().points
