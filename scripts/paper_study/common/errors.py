@@ -96,7 +96,7 @@ def text(values: list[float] | tuple[float, ...]) -> str:
     def one(value: float) -> str:
         if abs(value) < ROUNDING:
             return "0"
-        return f"{value:.0f}" if abs(value) >= 100 else f"{value:.2g}"
+        return f"{value:.0f}" if abs(value) >= 99.5 else f"{value:.2g}"
 
     return " / ".join(map(one, values))
 

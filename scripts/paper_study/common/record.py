@@ -48,7 +48,7 @@ def stamped(result: Json, seconds: float) -> Json:
 def ratio_range(values: Iterable[float]) -> str:
     """Return the smallest and the largest value, with two digits: ``0.6 to 1.2``."""
     known = list(values)
-    low, high = (f"{value:.2g}" if value < 100 else f"{value:.0f}" for value in (min(known), max(known)))
+    low, high = (f"{value:.2g}" if value < 99.5 else f"{value:.0f}" for value in (min(known), max(known)))
     return low if low == high else f"{low} to {high}"
 
 
