@@ -45,6 +45,8 @@ def test_key_poses_are_frames_as_many_as_key_shapes(model: mixseq.Model) -> None
     correction = replace(model.correction, values=np.zeros_like(model.correction.values))
     wanted = replace(model, correction=correction).sample(keys.times).points
     np.testing.assert_allclose(keys.points, wanted, atol=1e-9 * model.space.scale)
+    weights, of_keys = (model.pose.weights(model.time(times)) for times in (model.times, keys.times))
+    assert np.abs(weights @ np.linalg.inv(of_keys)).max() < 4, "key poses are spread widely"
 
 
 def test_knots_stand_for_frames_that_were_cut_away() -> None:
