@@ -11,7 +11,7 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast
@@ -43,15 +43,9 @@ class Stage(Protocol):
     """A module of stages/."""
 
     MESHES: tuple[str, ...]
-
-    def measure(self, poses: Poses, folder: Path, say: Say) -> Json:
-        """Measure one mesh; pictures go to the folder."""
-
-    def page(self, results: Results) -> list[str]:
-        """Return the blocks of the page in Markdown."""
-
-    def verdict(self, results: Results) -> list[str]:
-        """Return what it shows, in sentences for the index."""
+    measure: Callable[[Poses, Path, Say], Json]  # measure one mesh; pictures go to the folder
+    page: Callable[[Results], list[str]]  # the blocks of the page in Markdown
+    verdict: Callable[[Results], list[str]]  # what it shows, in sentences for the index
 
 
 def main() -> int:

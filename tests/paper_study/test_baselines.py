@@ -23,9 +23,8 @@ from scripts.paper_study.common.baselines import (
     membrane_roots,
     turned,
 )
-from scripts.paper_study.common.damage import apart
 from scripts.paper_study.common.errors import errors
-from scripts.paper_study.common.poses import Poses, between
+from scripts.paper_study.common.poses import Poses, apart, between
 from scripts.paper_study.common.record import Results
 from scripts.paper_study.stages.baselines import compared, page
 from tests.meshes import bar, grid, rotation, topology_of, tube

@@ -39,7 +39,6 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.shells.fitting import ShellReport
 from mixseq.shells.solvers import factorise
-from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.types import Float, Index, IntArray
 from scripts.paper_study.common.methods import Blended, Edge, Method
@@ -57,10 +56,8 @@ TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Registered:
+class Registered(Method):
     """Two poses in diagonals, the second moved rigidly onto the first."""
-
-    poses: Poses
 
     @cached_property
     def pair(self) -> Float:
@@ -68,11 +65,9 @@ class Registered:
         return np.stack([first, transform_points(second, *kabsch(second, first))])
 
     def prepare(self) -> None:
-        """Do what is done once."""
         _ = self.pair
 
     def at(self, weights: Float) -> Blended:
-        """Blend with weights ``(2,)``."""
         return Blended(np.tensordot(weights, self.pair, 1) * self.poses.diagonal, [])
 
 
@@ -210,7 +205,7 @@ class Nric(Registered):
     @cached_property
     def shells(self) -> Edge:
         """Discrete shells, from which the search starts: they collapse no faces."""
-        return Edge(self.poses, EdgeSettings("dso"))
+        return Edge(self.poses)
 
     def prepare(self) -> None:
         _ = self.elastic.weights, self.shells.vectors

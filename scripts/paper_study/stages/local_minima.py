@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell, linear_initialisation
-from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.mixed.construction import MAX_STEPS, MIN_STEPS
 from mixseq.types import Float, Index
 from scripts.benchmarks.common.harness import markdown_table
@@ -24,11 +23,8 @@ MESHES = ("lion", "cat", "horse")
 NOISE = (0.05, 0.15, 0.5)
 """Standard deviations of the noise, in mean lengths of edges."""
 
-STARTS = 5
-"""Number of starts by noise and method."""
-
-SAME = 0.01
-"""Relative difference below which energies are the same."""
+STARTS = 5  # number of starts by noise and method
+SAME = 0.01  # relative difference below which energies are the same
 
 Search = Callable[[float, np.random.Generator], float]
 """Returns the energy that is found from a start with noise of a size in edges."""
@@ -59,8 +55,8 @@ def shaken(x: Float, edge: float, size: float, rng: np.random.Generator) -> Floa
 
 def whole(poses: Poses, from_pose: bool) -> Search:
     """Return the search by Gauss-Newton on the whole mesh, from the first pose or from the linear start."""
-    method, length = FromPose(poses, EdgeSettings("dso")), float(poses.lengths.mean()) / poses.diagonal
-    problem, start = method.problem(between(0.5))
+    method, length = FromPose(poses), float(poses.lengths.mean()) / poses.diagonal
+    problem, start = method.problem((between(0.5) @ method.vectors)[: method.space.shape_dim])
     if not from_pose:
         start = linear_initialisation(problem.patch, problem.lengths, problem.angles, np.zeros_like(start))
 
