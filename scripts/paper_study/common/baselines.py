@@ -33,7 +33,7 @@ import numpy as np
 from scipy import sparse
 
 import mixseq
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, triangle_areas, wrap_angles
 from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import one_blas_thread
@@ -51,8 +51,7 @@ SEGMENTS = 4
 """Segments of the geodesic, whose inner shapes have the weights 1/4, 1/2 and 3/4."""
 
 MAX_STEPS, MAX_DAMPING = 60, 1e8
-TOLERANCE = 1e-3
-"""Predicted decrease of an energy, as a share of it, below which it is a minimum."""
+TOLERANCE = 1e-3  # predicted decrease of an energy, as a share of it, below which it is a minimum
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,12 +165,8 @@ class Elastic:
     def weights(self) -> tuple[Float, Float]:
         """Roots of the weights of lengths ``(E,)`` and of angles ``(H,)``."""
         topology = self.topology
-        lengths = np.mean([edge_lengths(x, topology.edges) for x in self.shapes], axis=0)
-        corners = self.shapes[:, topology.faces]
-        areas = np.linalg.norm(
-            np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]), axis=2
-        )
-        thirds = np.repeat(areas.mean(axis=0) / 6, 3)
+        lengths = edge_lengths(self.shapes, topology.edges).mean(axis=0)
+        thirds = np.repeat(triangle_areas(self.shapes, topology.faces).mean(axis=0) / 3, 3)
         spread = np.maximum(np.bincount(topology.face_edges.reshape(-1), thirds, minlength=len(lengths)), 1e-12)
         bending = self.thickness * lengths[topology.hinge_edges] / np.sqrt(spread[topology.hinge_edges])
         return np.sqrt(spread) / np.maximum(lengths, 1e-9), bending
@@ -279,8 +274,8 @@ class Geodesic(Nric):
         """Return all shapes of a path, squared sides of their faces ``(K + 1, F, 3)``, and angles ``(K + 1, H)``."""
         topology = self.poses.topology
         shapes = np.concatenate([self.pair[:1], inner, self.pair[1:]])
-        sides = np.stack([np.square(edge_lengths(x, topology.edges))[topology.face_edges] for x in shapes])
-        return shapes, sides, np.stack([dihedral_angles(x, topology.hinges) for x in shapes])
+        sides = np.square(edge_lengths(shapes, topology.edges))[:, topology.face_edges]
+        return shapes, sides, dihedral_angles(shapes, topology.hinges)
 
     def value(self, inner: Float) -> float:
         """Return the energy of a path."""
@@ -322,8 +317,8 @@ class Geodesic(Nric):
     def _tension(self, pull: Float) -> sparse.csr_array:
         """Return what edges ``(E,)`` under tension add to the second derivatives: a Laplacian ``(3V, 3V)``."""
         edges, count = self.poses.topology.edges, self.poses.topology.vertex_count
-        ends = np.arange(len(edges) + 1) * 2, np.tile([-1.0, 1.0], len(edges))
-        incidence = sparse.csr_array((ends[1], edges.reshape(-1), ends[0]), shape=(len(edges), count))
+        ends = np.tile([-1.0, 1.0], len(edges)), edges.reshape(-1), np.arange(len(edges) + 1) * 2
+        incidence = sparse.csr_array(ends, shape=(len(edges), count))
         laplacian = incidence.T @ sparse.diags_array(pull) @ incidence
         return sparse.csr_array(sparse.kron(laplacian, sparse.eye_array(3)))
 

@@ -117,12 +117,12 @@ class Poses:
     @cached_property
     def lengths(self) -> Float:
         """Edge lengths ``(n, E)``."""
-        return np.stack([edge_lengths(x, self.topology.edges) for x in self.points])
+        return edge_lengths(self.points, self.topology.edges)
 
     @cached_property
     def angles(self) -> Float:
         """Dihedral angles ``(n, H)``, from pose to pose by the shorter way round."""
-        return unwrap_angles(np.stack([dihedral_angles(x, self.topology.hinges) for x in self.points]))
+        return unwrap_angles(dihedral_angles(self.points, self.topology.hinges))
 
     def distances(self, starts: list[int]) -> Float:
         """Return the lengths ``(n, V)`` of the shortest paths of edges from vertices, in diagonals."""
@@ -136,7 +136,8 @@ class Poses:
         count = self.topology.vertex_count
         chosen = np.arange(0, count, -(-count // LIMB_VERTICES))
         first, second = np.triu_indices(len(chosen), 1)
-        shortest = np.min([np.linalg.norm(x[chosen[second]] - x[chosen[first]], axis=1) for x in self.points], axis=0)
+        sides = self.points[:, chosen[second]] - self.points[:, chosen[first]]
+        shortest = np.linalg.norm(sides, axis=2).min(axis=0)
         paths = self.distances(chosen.tolist())[first, chosen[second]] * self.diagonal
         kept = (shortest > APART * self.diagonal) & (paths < PATH * shortest)
         return np.stack([chosen[first], chosen[second]], axis=1)[kept], shortest[kept]
