@@ -16,6 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast
 
+from mixseq.runtime.parallel import one_blas_thread
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.poses import ALL, Poses
 from scripts.paper_study.common.record import Json, Results, Say, load, origins, save, stamped
@@ -82,7 +83,8 @@ def measured(out: Path, name: str, mesh: str) -> bool:
     out.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
     try:
-        result = stage(name).measure(Poses.of(mesh), out, lambda text: say(f"{name}, {mesh}: {text}"))
+        with one_blas_thread():  # or last digits of blends would depend on the number of threads
+            result = stage(name).measure(Poses.of(mesh), out, lambda text: say(f"{name}, {mesh}: {text}"))
     except Exception:
         traceback.print_exc()
         say(f"{name}, {mesh} FAILED; what was there before stays")

@@ -154,7 +154,7 @@ def test_a_page_has_what_was_compared(tmp_path: Path) -> None:
     assert (tmp_path / "picture.png").exists()
     assert found["ARAP"]["turned"] < 1e-9 and -1 < found["vertices"]["at"]["0.5"]["volume"] < 0
     results: Results = {
-        "lion": {"title": "bar", "methods": dict.fromkeys(("ARAP", "skin", "NRIC", "MixIT"), found["ARAP"])}
+        "lion": {"title": "bar", "methods": dict.fromkeys(("ARAP", "skin", "NRIC", "geodesic", "MixIT"), found["ARAP"])}
     }
     results["lion"]["placed"] = [1.0, 2.0, 3.0]
     assert "on lion: lengths 1, angles 1;" in page(results)[-1]

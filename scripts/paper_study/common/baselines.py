@@ -36,7 +36,6 @@ import mixseq
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, triangle_areas, wrap_angles
 from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.mesh.topology import Topology
-from mixseq.runtime.parallel import one_blas_thread
 from mixseq.shells.fitting import ShellReport
 from mixseq.shells.solvers import factorise
 from mixseq.spaces.gradient import GradientSpace
@@ -226,8 +225,7 @@ class Nric(Registered):
             away = residuals(x)
             return Quadratic(float(away @ away), jacobian.T @ away, sparse.csr_array(jacobian.T @ jacobian))
 
-        with one_blas_thread():
-            x, report = minimise(value, model, self.shells.at(weights).points / self.poses.diagonal)
+        x, report = minimise(value, model, self.shells.at(weights).points / self.poses.diagonal)
         return Blended(x * self.poses.diagonal, [report])
 
 
@@ -264,8 +262,7 @@ class Geodesic(Nric):
     def path(self) -> tuple[Float, ShellReport]:
         """The inner shapes ``(K - 1, V, 3)``, found from discrete shells."""
         starts = [self.shells.at(np.array([1 - w, w])).points for w in np.arange(1, SEGMENTS) / SEGMENTS]
-        with one_blas_thread():
-            return minimise(self.value, self.model, np.stack(starts) / self.poses.diagonal)
+        return minimise(self.value, self.model, np.stack(starts) / self.poses.diagonal)
 
     def prepare(self) -> None:
         _ = self.path

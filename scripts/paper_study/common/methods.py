@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from mixseq.choices import PlacementName
-from mixseq.runtime.parallel import one_blas_thread
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.shells.fitting import Patch, ShellProblem, ShellReport, ShellSettings, fit_shell, rebuild_patch
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
@@ -98,9 +97,8 @@ class Edge(Method):
 
     def at(self, weights: Float) -> Blended:
         (shape,), (turns,), (centres,) = self.space.split((weights @ self.vectors)[None])
-        with one_blas_thread():
-            rows, reports = self.fit(shape)
-            return Blended(self.space.place_pieces(rows, turns, centres), reports)
+        rows, reports = self.fit(shape)
+        return Blended(self.space.place_pieces(rows, turns, centres), reports)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,15 +190,14 @@ class Free(Anchored):
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend: a first mesh, and steps; there is no stitching."""
         space, assembly, clock = self.space, self.space.assembly, Clock()
-        with one_blas_thread():
-            vector = (weights @ self.vectors)[None]
-            blocks = space.split(vector)
-            frame = FreeFrame(blocks.lengths[0], blocks.angles[0], blocks.rest_vertices[0], space.skin(vector)[0])
-            lengths, angles = assembly.targets(frame)
-            start = assembly.integrate(frame, lengths, angles)
-            first = clock.lap()
-            relaxed = assembly.shell.relax(start, lengths, angles, assembly.steps)
-            points = assembly.place_components(frame.skinned_vertices, relaxed.points)
+        vector = (weights @ self.vectors)[None]
+        blocks = space.split(vector)
+        frame = FreeFrame(blocks.lengths[0], blocks.angles[0], blocks.rest_vertices[0], space.skin(vector)[0])
+        lengths, angles = assembly.targets(frame)
+        start = assembly.integrate(frame, lengths, angles)
+        first = clock.lap()
+        relaxed = assembly.shell.relax(start, lengths, angles, assembly.steps)
+        points = assembly.place_components(frame.skinned_vertices, relaxed.points)
         return Blended(points * space.scale, []), (first, 0.0, clock.lap())
 
 
@@ -254,16 +251,15 @@ class Printed(Mixed):
         """Blend step by step."""
         clock, joints, reports = Clock(), [], []
         typical = self.space.length_weights
-        with one_blas_thread():
-            frame = self.space.frame(weights)
-            for joint, patch in zip(self.decomposition.joints, self.patches, strict=True):
-                wanted = frame.lengths[joint.edge_ids], frame.angles[joint.hinge_ids], typical[joint.edge_ids]
-                nowhere = np.zeros((len(patch.fixed_mask), 3))
-                points, report = rebuild_patch(patch, *wanted, nowhere, ShellSettings())
-                joints.append(points)
-                reports.append(report)
-            first = clock.lap()
-            mesh = self.space.assembled(frame, joints)
+        frame = self.space.frame(weights)
+        for joint, patch in zip(self.decomposition.joints, self.patches, strict=True):
+            wanted = frame.lengths[joint.edge_ids], frame.angles[joint.hinge_ids], typical[joint.edge_ids]
+            nowhere = np.zeros((len(patch.fixed_mask), 3))
+            points, report = rebuild_patch(patch, *wanted, nowhere, ShellSettings())
+            joints.append(points)
+            reports.append(report)
+        first = clock.lap()
+        mesh = self.space.assembled(frame, joints)
         return Blended(mesh * self.poses.diagonal, reports), (first, clock.lap(), 0.0)
 
 

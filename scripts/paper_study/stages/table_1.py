@@ -73,12 +73,19 @@ def page(results: Results) -> list[str]:
             row = result[name]
             gains = (f"{result[other]['total'] / row['total']:.1f}" for other in EDGE)
             mixed.append((mesh, name, *(f"{row[key]:.0f}" for key in (*STEPS, "total")), *gains))
+    fine = [
+        f" *{mesh}* is {ALL[mesh].animation} with every triangle split into four ({r['faces']:,} faces), beside the "
+        f"paper's {ALL[mesh].printed} ({TABLE_1[ALL[mesh].printed].faces:,})."
+        for mesh, r in results.items()
+        if ALL[mesh].fine
+    ]
     heads = ("Align.", "Init.", "Interp.", "Stitch.", "Settle", "Total")
     return [
-        "Milliseconds of the processor for one frame between two poses, w = 0.5; medians of up to 5 runs. Init. is "
-        "everything that is done once for two poses: analysis and factors of the systems, encoding, registration of "
-        "the parts. Align. is the registration alone; it is part of Init., and not added again. As in the paper "
-        "the segmentation is not part of the times.",
+        f"Milliseconds of the processor for one frame between two poses, w = 0.5; medians of up to {RUNS} runs, the "
+        f"last of which starts within {BUDGET:g} seconds. Init. is everything that is done once for two poses: "
+        "analysis and factors of the systems, encoding, registration of the parts. Align. is the registration alone; "
+        "it is part of Init., and not added again. As in the paper the segmentation is not part of the times."
+        + "".join(fine),
         "## In S_e",
         markdown_table(("mesh", "method", "Init.", "Interp.", "iterations", "per iteration", "Total"), edge),
         "## MixIT",
@@ -109,7 +116,7 @@ def verdict(results: Results) -> list[str]:
     def gains(name: str) -> str:
         return by_mesh(results, lambda r: " / ".join(f"{r[edge]['total'] / r[name]['total']:.1f}" for edge in EDGE))
 
-    fine = " (the armadillo is as large as our fine elephant)" if "elephant_fine" in results else ""
+    fine = " (the armadillo is about as large as our fine elephant)" if "elephant_fine" in results else ""
     return [
         "Times of MSGI / DSO from a pose / DSO from the linear start / S_e in steps over that of "
         + "; ".join(f"{name}: {gains(name)}" for name in MIXED)
