@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Callable, Sequence
-from inspect import signature
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 from typing import Literal
 
