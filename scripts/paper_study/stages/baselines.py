@@ -14,7 +14,7 @@ from mixseq.types import Index
 from scripts.benchmarks.common.harness import cpu_timed, markdown_table
 from scripts.paper_study.common.baselines import BASELINES, SEGMENTS, THICKNESS, TOLERANCE, turned
 from scripts.paper_study.common.damage import placement_noise
-from scripts.paper_study.common.errors import errors, sections, text
+from scripts.paper_study.common.errors import errors, folds, sections, text
 from scripts.paper_study.common.methods import METHODS, Method
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import PAPER, Poses, apart, between
@@ -103,6 +103,9 @@ def page(results: Results) -> list[str]:
         markdown_table(("mesh", "first face", "median of all faces", "registered"), placed),
         "## What it shows",
         *verdict(results),
+        folds(
+            results, lambda r: {f"{n}, {w}": at for n, found in r["methods"].items() for w, at in found["at"].items()}
+        ),
     ]
 
 
