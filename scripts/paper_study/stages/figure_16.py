@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from mixseq.spaces.edge import EdgeSettings
 from mixseq.types import Float, Index
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.damage import BEYOND, SIZE, noisy, pushed
-from scripts.paper_study.common.errors import error_table, errors, text
+from scripts.paper_study.common.errors import error_table, errors, folds, text
 from scripts.paper_study.common.methods import METHODS, Edge, Method, Mixed, strips
 from scripts.paper_study.common.pictures import Panel, gallery, heat, held
 from scripts.paper_study.common.poses import PAPER, Poses, apart, between
@@ -147,6 +148,7 @@ def page(results: Results) -> list[str]:
             f"*{name}* on {named(m for m in calm if calm[m] == name)}" for name in METHODS if name in calm.values()
         )
         + ".",
+        folds(results, itemgetter("local")),
     ]
 
 
