@@ -132,9 +132,8 @@ def page(results: Results) -> list[str]:
         f"{fewer(results, 'local', 'MixIT, printed', 'MSGI')}: by {least(results, 'MixIT, printed')} of an edge, MSGI "
         f"by {least(results, 'MSGI')}. S_e has no parts, and angles that fold over push their surroundings aside: DSO "
         f"by {least(results, 'DSO')} from the linear start, {least(results, 'DSO, from a pose')} from a pose, "
-        f"{least(results, 'DSO, volume')} with the volume term. "
-        f"*MixIT* moves the rest less than DSO on {fewer(results, 'local', 'MixIT', 'DSO')}, less than MSGI on "
-        f"{fewer(results, 'local', 'MixIT', 'MSGI')}; "
+        f"{least(results, 'DSO, volume')} with the volume term. *MixIT* moves the rest less than DSO on "
+        f"{fewer(results, 'local', 'MixIT', 'DSO')}, less than MSGI on {fewer(results, 'local', 'MixIT', 'MSGI')}; "
         f"*MixIT, free* less than DSO on {fewer(results, 'local', 'MixIT, free', 'DSO')}, less than MSGI on "
         f"{fewer(results, 'local', 'MixIT, free', 'MSGI')}. For *MixIT* the patch bends: its joints hold "
         + ", ".join(f"{r['local']['MixIT']['joints']:.0%} of the patch of {mesh}" for mesh, r in results.items())
