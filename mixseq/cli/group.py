@@ -31,7 +31,7 @@ from functools import partial
 from importlib import import_module
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -40,6 +40,9 @@ from mixseq.errors import MixseqError, MixseqWarning, SettingsError
 from mixseq.runtime.interrupts import signals_as_exceptions
 from mixseq.runtime.parallel import environment
 from mixseq.runtime.progress import Progress, forward_warnings, log_progress
+
+if TYPE_CHECKING:
+    from mixseq.sequence.sequence import Frames
 
 _CONTROL_CHARACTERS = re.compile(
     "[\x00-\x1f\x7f-\x9f"  # C0, DEL and C1
@@ -155,6 +158,47 @@ def length_text(fraction: float, diagonal: float, digits: int = 4) -> str:
     metres = fraction * diagonal
     unit = next((name for name in ("km", "m", "cm", "mm") if metres >= UNITS[name]), "mm")
     return f"{fraction:.{digits}g} diagonals ({metres / UNITS[unit]:.3g} {unit})"
+
+
+_LENGTH_PATTERN = re.compile(rf"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?)\s*({'|'.join(UNITS)}|)", re.IGNORECASE)
+
+
+def parse_length(text: str) -> float | str:
+    """Parse an option value: return a fraction of the diagonal as a number, a length with a unit as text.
+
+    >>> parse_length("1e-3"), parse_length("0.5 mm")
+    (0.001, '0.5mm')
+    """
+    match = _LENGTH_PATTERN.fullmatch(text.strip())
+    if not match or not 0.0 < float(match[1]) < float("inf"):
+        raise click.BadParameter(f"{text!r} is not a length above 0, such as 0.001 (of the diagonal) or 0.5mm")
+    return f"{match[1]}{match[2].lower()}" if match[2] else float(match[1])
+
+
+def in_diagonals(settings: Mapping[str, Any], frames: Frames, *names: str) -> dict[str, Any]:
+    """Return settings with the named lengths converted to fractions of a sequence's unit of errors."""
+    from mixseq.sequence.sequence import reference_diagonal
+
+    converted = dict(settings)
+    for name in names:
+        length = settings.get(name)
+        match = _LENGTH_PATTERN.fullmatch(length) if isinstance(length, str) else None
+        if match is None:
+            continue
+        diagonal = reference_diagonal(frames.blocks(1)).length * frames.header.metres_per_unit
+        if not diagonal > 0.0:
+            raise SettingsError(
+                f"{frames.header.name!r} has no size in any frame, so {length} is no fraction of it; give a "
+                "sequence that is larger than a point"
+            )
+        converted[name] = float(match[1]) * UNITS[match[2]] / diagonal
+    return converted
+
+
+def in_diagonals_of_all(settings: Mapping[str, Any], sequences: Iterable[Frames]) -> dict[str, Any]:
+    """Return settings with a length `max_error` converted to the smallest of its fractions of several sequences."""
+    converted = (in_diagonals(settings, frames, "max_error") for frames in sequences)
+    return min(converted, key=lambda settings: settings.get("max_error", 0.0))
 
 
 @contextmanager

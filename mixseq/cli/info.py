@@ -13,6 +13,7 @@ import mixseq
 from mixseq.cli import options
 from mixseq.cli.files import history_rows, is_model, load_or_fit, options_of, read_sequence
 from mixseq.cli.group import format_bytes, length_text, print_json, print_table, progress_bar
+from mixseq.cli.options import argument, setting
 from mixseq.sequence.frame_rates import format_frames, format_rate, time_to_number
 
 if TYPE_CHECKING:
@@ -28,16 +29,16 @@ MAX_LIST_LENGTH = 240
 
 
 @options.command(
-    "info", "mixseq info walk.usdc", "mixseq info walk.h5 --json", "mixseq info run.h5 --set moments=walk.h5"
+    "info",
+    "mixseq info walk.usdc",
+    "mixseq info walk.h5 --json",
+    "mixseq info run.h5 --set moments=walk.h5",
+    path=argument(metavar="FILE"),
+    moments=setting(
+        "--moments FILE",
+        "Find where it is best left for another motion of its mesh, or for the same file, where it loops.",
+    ),
 )
-@options.argument("path", metavar="FILE")
-@options.setting(
-    "--moments FILE",
-    help="Find where it is best left for another motion of its mesh, or for the same file, where it loops.",
-)
-@options.as_json
-@options.reading
-@options.quiet
 def command(path: Path, moments: Path | None, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
     """Show the contents of a sequence or a model.
 

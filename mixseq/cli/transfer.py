@@ -17,6 +17,7 @@ import mixseq
 from mixseq.choices import TRANSFERS
 from mixseq.cli import files, options
 from mixseq.cli.group import announce, length_text, print_json, print_table, progress_bar
+from mixseq.cli.options import POSITIVE_INTEGER, argument, option, setting
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import forward_warnings
 
@@ -220,45 +221,39 @@ def _frames_to_draw(transferred: Transfer, frame: int, rest_file: Path | None, v
     "mixseq transfer horse.h5 camel.obj camel.usdc --markers pairs.txt --save-map map.npz",
     "mixseq transfer gallop.abc camel.obj camel.abc --map map.npz --rest horse.obj",
     "mixseq transfer gallop.h5 camel.obj herd.h5 --markers pairs.txt --as-body camel",
+    out=argument(),
+    markers=option("--markers FILE", "Pairs of vertices that are the same: SOURCE, TARGET.  [default: proposed]"),
+    reverse=option("--reverse", "The vertices of TARGET come first in --markers."),
+    map_file=option("--map FILE", "Dense correspondence, instead of markers."),
+    save_map=option("--save-map FILE", "Keep the correspondence, for --map."),
+    method=option(
+        "--method",
+        "Parts, joints and poses, or deformation gradients (Sumner and Popović).",
+        type=click.Choice(TRANSFERS),
+        default="mixed",
+    ),
+    rest=option(
+        "--rest FRAME|FILE",
+        "Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.  [default: the first; "
+        "of glTF SOURCE without animation]",
+    ),
+    parts=option(
+        "--parts N",
+        "Number of parts of SOURCE; every connected component has at least one.  [default: automatic]",
+        type=POSITIVE_INTEGER,
+    ),
+    contacts=option(
+        "--contacts FILE",
+        'Vertices of TARGET that shall not slide while SOURCE rests there, as JSON: {"left foot": [12, 13], ...}.',
+    ),
+    as_body=option(
+        "--as-body NAME",
+        "OUT is the model SOURCE with TARGET as another body, which moves by the same time and pose signals; only key "
+        "poses are transferred.",
+    ),
+    target_prim=setting("--target-prim PATH", "Mesh to read of TARGET, as --prim is of SOURCE."),
+    picture=options.picture("OUT"),
 )
-@options.argument("source")
-@options.argument("target")
-@options.argument("out")
-@options.option("--markers FILE", help="Pairs of vertices that are the same: SOURCE, TARGET.  [default: proposed]")
-@options.option("--reverse", is_flag=True, help="The vertices of TARGET come first in --markers.")
-@options.option("--map FILE", "map_file", help="Dense correspondence, instead of markers.")
-@options.option("--save-map FILE", help="Keep the correspondence, for --map.")
-@options.option(
-    "--method",
-    type=click.Choice(TRANSFERS),
-    default="mixed",
-    help="Parts, joints and poses, or deformation gradients (Sumner and Popović).",
-)
-@options.option(
-    "--rest FRAME|FILE",
-    help="Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.  [default: the first; "
-    "of glTF SOURCE without animation]",
-)
-@options.parts(help="Number of parts of SOURCE; every connected component has at least one.  [default: automatic]")
-@options.joint_width
-@files.labelling
-@options.option(
-    "--contacts FILE",
-    help='Vertices of TARGET that shall not slide while SOURCE rests there, as JSON: {"left foot": [12, 13], ...}.',
-)
-@options.option(
-    "--as-body NAME",
-    help="OUT is the model SOURCE with TARGET as another body, which moves by the same time and pose signals; only key "
-    "poses are transferred.",
-)
-@options.setting("--target-prim PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
-@options.picture("OUT")
-@options.as_json
-@options.reading
-@options.writing
-@options.workers
-@files.overwriting
-@options.quiet
 def command(
     source: Path,
     target: Path,

@@ -12,8 +12,7 @@ import pytest
 from click.testing import Result
 
 import mixseq
-from mixseq.cli.group import length_text
-from mixseq.cli.options import in_diagonals, parse_length
+from mixseq.cli.group import in_diagonals, length_text, parse_length
 from mixseq.errors import SettingsError
 from mixseq_io.verification import read_compressed
 
