@@ -741,4 +741,10 @@ def test_an_edit_of_one_body_is_shown_on_all(bar_model: Model, is_compressed: bo
     room.done(6)
     assert session.history.index == 0
     assert room.shown(1) is session.model
+    session.select(2)
+    session.edit("reverse", reverse)
+    room.done(8)
+    session.save(Path("edits.toml"))
+    eventually(lambda: len(room.written) == 2)
+    assert room.written[1][1] == '# mixseq edit --body "large"\n\n[[edit]]\noperation = "reverse"\n'
     room.close()
