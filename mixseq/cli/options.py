@@ -147,12 +147,12 @@ def command(
     """Return a decorator that makes a command; `lines` are the examples at the end of its help.
 
     The parameters of the function are its arguments and options, in this order: those in `own` and, by the same names,
-    those in `SHARED`.
+    those in `SHARED_OPTIONS`.
     """
 
     def make(function: Command) -> CommandWithSettings:
         keys = [each.name for each in signature(function).parameters.values() if each.default is each.empty]
-        parts = {key: own.get(key) or SHARED[key] for key in keys}
+        parts = {key: own.get(key) or SHARED_OPTIONS[key] for key in keys}
         params = {key: part.make() if isinstance(part, Group) else [part(key)] for key, part in parts.items()}
 
         def run(**values: Any) -> None:
@@ -574,7 +574,7 @@ labelling = Group(
 )
 """Options for labels from other programs; the argument ``labels`` gets a `LabelChoice`."""
 
-SHARED: dict[str, Part] = {
+SHARED_OPTIONS: dict[str, Part] = {
     "source": argument(),
     "target": argument(),
     "velocities": velocities("Also write the velocities of all vertices, for motion blur."),
