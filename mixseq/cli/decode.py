@@ -289,7 +289,9 @@ def command(
                 model = _load(source, between, name, progress)
                 header = _header_of_frames(model, **frame_options)
                 files.write_frames(path, model, header, velocities, writing, progress, work)
-                tables.append([] if quiet else _rows_of_frames(path, header, model, writing))
+                tables.append(
+                    [] if quiet else files.time_rows(header) + files.between_rows(path, header, model.blocks, writing)
+                )
                 continue
             sequence, frames = _frames_to_fit(source, frame_options, between, name, progress, work, opened)
             files.check_origin(path, sequence)
@@ -312,13 +314,6 @@ def command(
         if not quiet:
             print_table(table)
         announce(path)
-
-
-def _rows_of_frames(
-    path: Path, header: SequenceHeader, model: Decodable, writing: Mapping[str, Any]
-) -> list[tuple[str, str]]:
-    """Return table rows about the frames of a model in a file."""
-    return files.time_rows(header) + files.between_rows(path, header, model.blocks, writing)
 
 
 def _load(source: Path, between: BetweenName, body: str | None, progress: Progress) -> Decodable:

@@ -307,12 +307,7 @@ max_memory = click.Option(
 class LazyGroup(click.Group):
     """Command group whose commands are the functions ``command`` in the modules of a package."""
 
-    def __init__(
-        self,
-        package: str,
-        sections: Mapping[str, tuple[str, ...]],
-        **settings: Any,
-    ) -> None:
+    def __init__(self, package: str, sections: Mapping[str, tuple[str, ...]], **settings: Any) -> None:
         super().__init__(**settings)
         self._package = package
         self._sections = sections
@@ -373,7 +368,9 @@ def exit_code(run: Callable[[], object]) -> int:
     except MixseqError as error:
         _say(f"error: {error}")
     except click.ClickException as error:
-        _say(f"error: {error.format_message()}{_hint(error)}")
+        context = error.ctx if isinstance(error, click.UsageError) else None
+        hint = f" (see {context.command_path} --help)" if context else ""
+        _say(f"error: {error.format_message()}{hint}")
     except (click.Abort, KeyboardInterrupt):
         _say("interrupted")
         return 130
@@ -388,11 +385,6 @@ def exit_code(run: Callable[[], object]) -> int:
     except MemoryError as error:
         _say(f"error: there is not enough memory {f'({error})' if str(error) else ''}")
     return 2
-
-
-def _hint(error: click.ClickException) -> str:
-    context = error.ctx if isinstance(error, click.UsageError) else None
-    return f" (see {context.command_path} --help)" if context else ""
 
 
 def _say(message: str) -> None:

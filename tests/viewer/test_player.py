@@ -218,7 +218,7 @@ def test_the_browser_finds_what_python_does(new_page: NewPage, bar_page: Path, w
     faces = item.model.header.faces
     assert made["faces"] == faces.ravel().tolist()
     measures = [
-        (MEASURES[name].from_rest(item.points[0], faces), unit, top)
+        (MEASURES[name](item.points[0], faces), unit, top)
         for name, unit, top in zip(
             ("strain", "curvature"),
             (100, 1),
