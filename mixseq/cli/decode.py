@@ -158,10 +158,7 @@ def texture_rows(report: VatReport, diagonal: float) -> list[tuple[str, str]]:
     """Return table rows about sizes and errors of textures; `diagonal` is in metres."""
     kind = report.kind if not report.rank else f"{report.kind}, {report.rank} basis vectors"
     return [
-        (
-            "textures",
-            f"{kind}: {format_bytes(report.file_bytes)}, in memory {format_bytes(report.memory_bytes)}",
-        ),
+        ("textures", f"{kind}: {format_bytes(report.file_bytes)}, in memory {format_bytes(report.memory_bytes)}"),
         ("max error", length_text(report.max_error, diagonal)),
         ("rms error", length_text(report.rms_error, diagonal)),
         *files.between_row(report.between_error, diagonal),

@@ -64,10 +64,7 @@ def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
                 ("vertices", f"{original.vertex_count:,}"),
                 ("frames", f"{original.frame_count} encoded, {doubled.frame_count} decoded"),
                 *dimension_rows(model),
-                (
-                    "max error",
-                    length_text(error.max_error, error.diagonal * original.metres_per_unit, digits=2),
-                ),
+                ("max error", length_text(error.max_error, error.diagonal * original.metres_per_unit, digits=2)),
                 ("KG error", f"{error.kg_percent:.2g} %"),
                 ("seconds", ", ".join(f"{time:.1f} to {step}" for step, time in seconds.items())),
             ]

@@ -89,8 +89,7 @@ def command(
     as_model = target.suffix.lower() in MODEL_EXTENSIONS
     if as_model:
         options.refuse(
-            *("fps", "velocities", *writing),
-            why="is for sequences; OUT is a model, decode or resample it then",
+            *("fps", "velocities", *writing), why="is for sequences; OUT is a model, decode or resample it then"
         )
     claim(target, travel)
 

@@ -176,10 +176,7 @@ def time_rows(header: SequenceHeader) -> list[tuple[str, str]]:
 
 
 def between_rows(
-    path: Path,
-    header: SequenceHeader,
-    points_at: Callable[[Float], Iterable[FloatArray]],
-    writing: Mapping[str, Any],
+    path: Path, header: SequenceHeader, points_at: Callable[[Float], Iterable[FloatArray]], writing: Mapping[str, Any]
 ) -> list[tuple[str, str]]:
     """Return a table row about the error between frames of a written glTF file, as players show it.
 

@@ -211,12 +211,7 @@ def progress_bar(quiet: bool) -> Iterator[Progress]:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=None)
 
@@ -235,12 +230,7 @@ MIN_ADDRESS_SPACE = 2000 << 20
 
 _THREAD_VARIABLES = ("MIXSEQ_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS")
 
-_OUT_OF_MEMORY_SIGNS = (
-    "can't start new thread",
-    "failed to map segment",
-    "Cannot allocate memory",
-    "libllvmlite",
-)
+_OUT_OF_MEMORY_SIGNS = ("can't start new thread", "failed to map segment", "Cannot allocate memory", "libllvmlite")
 """Parts of error messages that signal a lack of memory."""
 
 

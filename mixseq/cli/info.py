@@ -44,10 +44,7 @@ def command(path: Path, moments: Path | None, as_json: bool, reading: dict[str, 
 
     For a sequence, only the first frame is read, unless moments are to be found.
     """
-    facts: dict[str, Any] = {
-        "file": str(path),
-        "bytes": {"total": path.stat().st_size if path.is_file() else None},
-    }
+    facts: dict[str, Any] = {"file": str(path), "bytes": {"total": path.stat().st_size if path.is_file() else None}}
     if is_model(path):
         from mixseq_io.verification import is_compressed, read_compressed
 
@@ -143,20 +140,11 @@ def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
         ("container", "container"),
     ]
     motion = sizes["signals"] - sizes["surface"] - sizes["uvs"]
-    rates = [
-        ("signals", motion, coding["bits_of_motion"]),
-        ("total", sizes["total"], coding["bits"]["total"]),
-    ]
+    rates = [("signals", motion, coding["bits_of_motion"]), ("total", sizes["total"], coding["bits"]["total"])]
     rows = [
         *((name, f"{format_bytes(size)}, {rate:.3g} bits per vertex and frame") for name, size, rate in rates),
-        (
-            "of it",
-            ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in components if sizes[name]),
-        ),
-        (
-            "max error",
-            stated + length_text(coding["max_error"], coding["diagonal"] * metres_per_unit, digits=3),
-        ),
+        ("of it", ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in components if sizes[name])),
+        ("max error", stated + length_text(coding["max_error"], coding["diagonal"] * metres_per_unit, digits=3)),
         ("KG error", f"{coding['kg_percent']:.3g} %"),
     ]
     if coding["inbetween_error"] is not None:

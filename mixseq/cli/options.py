@@ -253,10 +253,7 @@ class FrameChoice:
         return number_to_time(first, header.fps), number_to_time(last, header.fps)
 
     def _check(self, header: SequenceHeader, *numbers: int) -> None:
-        low, high = (
-            header.times[0] * header.fps - FRAME_TOLERANCE,
-            header.times[-1] * header.fps + FRAME_TOLERANCE,
-        )
+        low, high = (header.times[0] * header.fps - FRAME_TOLERANCE, header.times[-1] * header.fps + FRAME_TOLERANCE)
         for number in numbers:
             if not low <= number <= high:
                 raise SettingsError(f"there is no frame {format_number(number)}; frames are {header.frame_numbers}")

@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import (
-    Claim,
-    between_rows,
-    counted,
-    each_animation,
-    is_model,
-    time_rows,
-    write_sequence,
-)
+from mixseq.cli.files import Claim, between_rows, counted, each_animation, is_model, time_rows, write_sequence
 from mixseq.cli.group import announce, in_diagonals, print_table, progress_bar
 from mixseq.cli.options import POSITIVE_NUMBER, length, option, setting
 from mixseq.errors import SettingsError

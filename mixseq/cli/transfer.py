@@ -337,12 +337,7 @@ def command(
         settings = TransferSettings(pairs, mapping, method, contacts=feet, joint_width=joint_width)
         transferred = plan_transfer(motion, target_mesh, settings, progress, work)
         if save_map is not None:
-            write_map(
-                save_map,
-                transferred.correspondence,
-                transferred.source.header.faces,
-                transferred.header.faces,
-            )
+            write_map(save_map, transferred.correspondence, transferred.source.header.faces, transferred.header.faces)
         meter = TransferMeter(transferred)
         blocks = meter.measure_blocks(transferred.blocks(progress, work))
         if as_body is not None:
@@ -385,10 +380,7 @@ def _mesh_at_rest(
         path, {name: reading[name] for name in (*_SHARED_READ_OPTIONS, "prim") if name in reading}
     )
     header = source_motion.header
-    if not is_default or (target_mesh.vertex_count, len(target_mesh.faces)) == (
-        header.vertex_count,
-        len(header.faces),
-    ):
+    if not is_default or (target_mesh.vertex_count, len(target_mesh.faces)) == (header.vertex_count, len(header.faces)):
         return target_mesh
     warnings.warn(
         f"{path}: without animation there are other meshes than those that move, so frame 0 counts as the rest; "

@@ -83,10 +83,7 @@ def _rows(result: Verification, worst: str | None) -> list[tuple[str, str]]:
         texture.append(("bound holds", "yes" if result.holds else "no"))
     return [
         *rows,
-        (
-            "max error",
-            f"{length(result.max_error)}, of vertex {result.worst_vertex} in frame {worst}",
-        ),
+        ("max error", f"{length(result.max_error)}, of vertex {result.worst_vertex} in frame {worst}"),
         ("KG error", f"{result.kg_percent:.4g} %"),
         *texture,
     ]

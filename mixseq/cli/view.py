@@ -264,11 +264,7 @@ def _save(sources: Sequence[Path], path: Path, edited: Model | str, replace: boo
 
 
 def _set_markers(
-    files: Sequence[Path],
-    path: Path,
-    reading: Mapping[str, Any],
-    viewing: Mapping[str, Any],
-    browser: bool | None,
+    files: Sequence[Path], path: Path, reading: Mapping[str, Any], viewing: Mapping[str, Any], browser: bool | None
 ) -> None:
     """Run a viewer for setting markers until it is interrupted, then write unsaved markers to a new file."""
     from mixseq.viewer.live import ViewSettings

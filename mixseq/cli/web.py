@@ -9,11 +9,7 @@ from mixseq.cli.files import Claim
 from mixseq.cli.group import announce
 
 
-@options.command(
-    "web",
-    "mixseq web --out site/mixseq",
-    out=options.out_folder(default=Path("mixseq-web")),
-)
+@options.command("web", "mixseq web --out site/mixseq", out=options.out_folder(default=Path("mixseq-web")))
 def command(out: Path, claim: Claim, quiet: bool) -> None:
     """Write a JavaScript package that plays compressed models in browsers.
 

@@ -99,11 +99,7 @@ def vertex_errors(
 
 
 def draw_frame_errors(
-    ax: Axes,
-    errors: VertexErrors,
-    times: Float,
-    tolerance: float | None = None,
-    fps: float | None = None,
+    ax: Axes, errors: VertexErrors, times: Float, tolerance: float | None = None, fps: float | None = None
 ) -> None:
     """Draw the largest and the root mean square error of each frame over the times ``(T,)``."""
     largest, rms = (np.maximum(values, MIN_DRAWN_ERROR) for values in (errors.largest, errors.rms))

@@ -175,14 +175,8 @@ def test_quiet_tells_only_the_file(run: Run) -> None:
         (("out.glb", "--as", "skin", "--skeleton", "none.glb"), "none.glb does not exist"),
         (("out.glb", "--as", "morph", "--bones", "3"), "--bones is for --as skin"),
         (("out.glb", "--as", "morph", "--correctives", "0.1"), "--correctives is for --as skin"),
-        (
-            ("out.glb", "--as", "skin", "--velocities"),
-            "a skin has no place for velocities; leave out --velocities",
-        ),
-        (
-            ("out.glb", "--as", "skin", "--onto", "bar.usdc"),
-            "no place for other files to build on; leave out --onto",
-        ),
+        (("out.glb", "--as", "skin", "--velocities"), "a skin has no place for velocities; leave out --velocities"),
+        (("out.glb", "--as", "skin", "--onto", "bar.usdc"), "no place for other files to build on; leave out --onto"),
         (("out.glb", "--as", "skin", "--clips", "3"), "no place for clips; leave out --clips, or --as"),
         (("out.abc", "--as", "skin"), "skins and morphs are written as glTF or USD; end the name in .glb, "),
         (("out.glb", "--as", "skin", "--times", "0", "--end", "1"), "leave out --start and --end"),

@@ -149,12 +149,7 @@ def test_the_help_knows_all_operations(run: Run) -> None:
     ],
 )
 def test_what_goes_wrong_is_one_line_and_nothing_changes(
-    run: Run,
-    folder: Path,
-    contents: Callable[[], dict[str, bytes | None]],
-    arguments: str,
-    text: str,
-    message: str,
+    run: Run, folder: Path, contents: Callable[[], dict[str, bytes | None]], arguments: str, text: str, message: str
 ) -> None:
     (folder / "edits.toml").write_text(text)
     before = contents()

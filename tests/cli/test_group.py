@@ -170,12 +170,7 @@ def test_an_error_while_writing(run: Run, contents: Contents, monkeypatch: pytes
     ],
 )
 def test_interrupt(
-    run: Run,
-    contents: Contents,
-    monkeypatch: pytest.MonkeyPatch,
-    line: str,
-    where: str,
-    error: type[BaseException],
+    run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch, line: str, where: str, error: type[BaseException]
 ) -> None:
     def stop(*_: object, **__: object) -> NoReturn:
         raise error

@@ -263,8 +263,7 @@ def test_velocities_that_cannot_be_held(run: Run, command: str) -> None:
     result = run(command, "model.h5", "new_#.obj", "--velocities")
     assert result.exit_code == 0
     assert re.fullmatch(
-        r"mixseq: warning: new_#.obj: OBJ files cannot hold 10 frames per second, velocities; .*\n",
-        result.stderr,
+        r"mixseq: warning: new_#.obj: OBJ files cannot hold 10 frames per second, velocities; .*\n", result.stderr
     )
     assert len(list(Path().glob("new_?.obj"))) == 4
 

@@ -51,10 +51,7 @@ def test_numbered_sources_are_noticed(
 
 @pytest.mark.parametrize("options", [(), ("--flatten",)])
 def test_what_a_model_was_made_from_is_not_overwritten(
-    run: Callable[..., Result],
-    folder: Path,
-    contents: Callable[[], dict[str, bytes | None]],
-    options: tuple[str, ...],
+    run: Callable[..., Result], folder: Path, contents: Callable[[], dict[str, bytes | None]], options: tuple[str, ...]
 ) -> None:
     assert run("encode", "bar.usdc", "bar.h5").exit_code == 0
     before = contents()

@@ -67,19 +67,10 @@ def test_settings_of_the_edge_space(run: Run) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (
-            "--space vertex --parts 2",
-            "the vertex space has no use for parts; leave it out, or choose space='mixed'",
-        ),
+        ("--space vertex --parts 2", "the vertex space has no use for parts; leave it out, or choose space='mixed'"),
         ("--space lri --placement free", "the lri space has no use for placement"),
-        (
-            "--projection dso",
-            "the mixed space has no use for projection; leave it out, or choose space='edge'",
-        ),
-        (
-            "--space edge --volume 2",
-            "projection 'steps' has no use for volume; leave it out, or choose 'dso'",
-        ),
+        ("--projection dso", "the mixed space has no use for projection; leave it out, or choose space='edge'"),
+        ("--space edge --volume 2", "projection 'steps' has no use for volume; leave it out, or choose 'dso'"),
     ],
 )
 def test_settings_for_nothing_are_refused(run: Run, folder: Path, options: str, message: str) -> None:

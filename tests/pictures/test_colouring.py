@@ -104,8 +104,7 @@ def test_values_are_from_the_smallest_to_the_largest(shape: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "message"),
-    [(np.zeros(5), r"shape \(5,\); give 202 numbers"), (np.full(202, np.nan), "not all finite")],
+    ("values", "message"), [(np.zeros(5), r"shape \(5,\); give 202 numbers"), (np.full(202, np.nan), "not all finite")]
 )
 def test_values_are_of_the_vertices(values: NDArray[np.float64], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
@@ -252,10 +251,7 @@ def test_what_means_no_numbers_has_no_scale() -> None:
 
 def test_colours_are_fixed_or_measured() -> None:
     constant_entries = np.zeros(3, dtype=np.uint8)
-    for given_ in (
-        {},
-        {"constant_entries": constant_entries, "measure": lambda points, elapsed: constant_entries},
-    ):
+    for given_ in ({}, {"constant_entries": constant_entries, "measure": lambda points, elapsed: constant_entries}):
         with pytest.raises(SettingsError, match="either constant entries or a measure"):
             Colouring("a", PALETTE, **given_)  # type: ignore[arg-type]
 

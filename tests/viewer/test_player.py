@@ -385,11 +385,7 @@ def test_colours_can_be_chosen(two: Player) -> None:
     assert not page.locator("#legend").is_visible()
     colours = ["Clay", "Strain", "Curvature", "Parts", "Error"]
     assert page.locator("#colour option").all_inner_texts() == colours
-    for name, words in (
-        ("parts", "red where parts meet"),
-        ("strain", "Strain (%)"),
-        ("error", "Error (diagonals)"),
-    ):
+    for name, words in (("parts", "red where parts meet"), ("strain", "Strain (%)"), ("error", "Error (diagonals)")):
         page.select_option("#colour", name)
         assert changed(clay, two.picture()) > 0.01
         assert words in page.locator("#legend").inner_text()

@@ -173,10 +173,7 @@ def test_edits_are_done_in_order(room: Room, bar_model: Model) -> None:
         room.session.edit(str(number), edit(number))
     room.done(20)
     assert [number for number, _ in order] == list(range(20))
-    assert [model for _, model in order] == [
-        bar_model,
-        *room.told.seen[:-1],
-    ]  # each of what the one before made
+    assert [model for _, model in order] == [bar_model, *room.told.seen[:-1]]  # each of what the one before made
 
 
 def test_of_previews_only_the_newest_is_made(room: Room, bar_model: Model) -> None:
@@ -250,11 +247,7 @@ def test_undo_and_redo(room: Room, bar_model: Model) -> None:
     edited = session.model
     session.undo()
     room.done(2)
-    assert (session.model, room.shown(), session.history.redo().current.name) == (
-        bar_model,
-        bar_model,
-        "loop",
-    )
+    assert (session.model, room.shown(), session.history.redo().current.name) == (bar_model, bar_model, "loop")
     session.redo()
     room.done(3)
     assert (session.model, room.shown(), session.history.current.name) == (edited, edited, "loop")

@@ -247,12 +247,7 @@ class MarkingStage:
             label = self._labels.get(name)
             if label is None:
                 self._labels[name] = self._server.scene.add_label(
-                    name,
-                    text,
-                    position=point,
-                    anchor="center-center",
-                    font_screen_scale=1.1,
-                    depth_test=False,
+                    name, text, position=point, anchor="center-center", font_screen_scale=1.1, depth_test=False
                 )
                 continue
             label.position = point

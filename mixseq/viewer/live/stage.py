@@ -295,12 +295,7 @@ class LiveStage:
 
     def _add_ball(self, name: str, radius: float) -> Any:
         return self._server.scene.add_icosphere(
-            name,
-            radius=radius * SCENE_SIZE,
-            color=PICK_COLOUR,
-            visible=False,
-            cast_shadow=False,
-            receive_shadow=False,
+            name, radius=radius * SCENE_SIZE, color=PICK_COLOUR, visible=False, cast_shadow=False, receive_shadow=False
         )
 
     def set_handles(self, index: int, colours: Mapping[int, Colour], on_click: Callable[[int], None]) -> None:
