@@ -739,5 +739,5 @@ def test_an_edit_of_one_body_is_shown_on_all(bar_model: Model, is_compressed: bo
     room.done(8)
     session.save(Path("edits.toml"))
     eventually(lambda: len(room.written) == 2)
-    assert room.written[1][1] == '# mixseq edit --body "large"\n\n[[edit]]\noperation = "reverse"\n'
+    assert str(room.written[1][1]) == '# mixseq edit --body "large"\n\n[[edit]]\noperation = "reverse"\n'
     room.close()
