@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,6 @@ from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     from mixseq.operations.script import Edit
-    from mixseq.runtime.parallel import Executor
     from mixseq.signals.model import Model
 
 
@@ -68,7 +66,7 @@ def command(
     fps: float | None,
     velocities: bool,
     writing: dict[str, Any],
-    workers: AbstractContextManager[Executor],
+    workers: options.Workers,
     claim: Claim,
     quiet: bool,
 ) -> None:

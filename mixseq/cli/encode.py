@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -29,7 +28,6 @@ from mixseq.errors import OutputError, SettingsError
 if TYPE_CHECKING:
     from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
     from mixseq.metrics import Comparison
-    from mixseq.runtime.parallel import Executor
     from mixseq.runtime.progress import Progress
     from mixseq.signals.model import Model
     from mixseq_io.reader import SequenceReader
@@ -150,7 +148,7 @@ def command(
     knots: int | None,
     still: StillName | None,
     check: bool,
-    workers: AbstractContextManager[Executor],
+    workers: options.Workers,
     reading: dict[str, Any],
     claim: files.Claim,
     quiet: bool,

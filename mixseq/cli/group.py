@@ -85,16 +85,12 @@ def print_table(rows: Iterable[Sequence[str]], heading: Sequence[str] | None = N
         widths[column] -= 1
         spare[column] -= 1
     for line in lines:
-        wrapped = [_wrap(cell, width) for cell, width in zip(line, widths, strict=True)]
+        wrapped = [  # between words; paths stay whole
+            textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False) if len(cell) > width else [cell]
+            for cell, width in zip(line, widths, strict=True)
+        ]
         for cells in zip_longest(*wrapped, fillvalue=""):
             say("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)).rstrip())
-
-
-def _wrap(cell: str, width: int) -> list[str]:
-    """Divide a cell into lines between its words; paths stay whole."""
-    if len(cell) <= width:
-        return [cell]
-    return textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False)
 
 
 def _print_rich(rows: list[list[str]], heading: Sequence[str] | None) -> None:

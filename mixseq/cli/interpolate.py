@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,8 +19,6 @@ from mixseq.errors import SettingsError
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-    from mixseq.runtime.parallel import Executor
 
 
 class Pose(NamedTuple):
@@ -72,7 +69,7 @@ def command(
     labels: LabelChoice,
     reading: dict[str, Any],
     writing: dict[str, Any],
-    workers: AbstractContextManager[Executor],
+    workers: options.Workers,
     claim: Claim,
     quiet: bool,
 ) -> None:

@@ -292,7 +292,11 @@ def thread_limit(count: int | None) -> Iterator[Executor]:
         yield thread_executor()
 
 
-def _workers(threads: int | None = None, cluster: str | None = None) -> AbstractContextManager[Executor]:
+Workers = AbstractContextManager["Executor"]
+"""Context of parallel work, which yields an `Executor`."""
+
+
+def _workers(threads: int | None = None, cluster: str | None = None) -> Workers:
     if cluster is None:
         return thread_limit(threads)
     if threads is not None:
@@ -535,7 +539,7 @@ workers = Group(
     option("--cluster ADDRESS", "Work on a dask cluster: tcp://host:8786, or local:N for N processes here."),
     gather=_workers,
 )
-"""Options of parallel work; the argument is a context that yields an `Executor`."""
+"""Options of parallel work, as `Workers`."""
 
 
 def picture(beside: str) -> Group:

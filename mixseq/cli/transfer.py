@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from mixseq.retargeting.report import FrameCounts, TransferReport
     from mixseq.retargeting.transfer import Transfer
     from mixseq.retargeting.verdict import Verdict
-    from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
     from mixseq.sequence.sequence import MeshSequence
     from mixseq.signals.model import Model
@@ -254,7 +253,7 @@ def command(
     as_json: bool,
     reading: dict[str, Any],
     writing: dict[str, Any],
-    workers: AbstractContextManager[Executor],
+    workers: options.Workers,
     claim: files.Claim,
     quiet: bool,
 ) -> None:
