@@ -7,15 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq_io.verification import read_container
-from tests.cli.test_compress import rows, succeed
+from tests.cli.conftest import Run, succeed
+from tests.cli.test_compress import rows
 
 pytestmark = pytest.mark.slow
-
-Run = Callable[..., Result]
 
 
 @pytest.fixture

@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.choices import SPACES
 from mixseq.cli.interpolate import command
 from mixseq.sequence.sequence import MeshSequence
-
-Run = Callable[..., Result]
-Contents = Callable[[], dict[str, bytes | None]]
-
-
-def succeed(result: Result) -> str:
-    assert (result.exit_code, result.stderr) == (0, "")
-    return result.stdout
+from tests.cli.conftest import Contents, Run, succeed
 
 
 def test_spaces_are_those_of_the_code() -> None:

@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,9 +14,7 @@ from click.testing import CliRunner, Result
 import mixseq
 from mixseq.cli import files, main
 from mixseq.sequence.sequence import MeshSequence
-
-Run = Callable[..., Result]
-Contents = Callable[[], dict[str, bytes | None]]
+from tests.cli.conftest import Contents, Run
 
 WRITING = {
     "demo": ("--out", "fox", "fox/model.h5"),

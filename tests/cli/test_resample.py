@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
 from pxr import Usd, UsdGeom
 
 import mixseq
 from mixseq.operations import resample
 from mixseq.runtime.parallel import serial_executor
 from mixseq.sequence.sequence import MeshSequence
+from tests.cli.conftest import Contents, Run, succeed
 from tests.formats.gltf_maker import JOINTS, skinned
 from tests.motions import MESH, moving
-
-Run = Callable[..., Result]
-Contents = Callable[[], dict[str, bytes | None]]
-
-
-def succeed(result: Result) -> str:
-    assert (result.exit_code, result.stderr) == (0, "")
-    return result.stdout
 
 
 @pytest.mark.parametrize(

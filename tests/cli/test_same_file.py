@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.signals.model import Model
+from tests.cli.conftest import Contents, Run
 
 
 @pytest.mark.parametrize(
@@ -22,9 +21,7 @@ from mixseq.signals.model import Model
         ("decode", "model.h5", "model.h5", "--fps", "60"),
     ],
 )
-def test_the_source_is_not_overwritten(
-    run: Callable[..., Result], contents: Callable[[], dict[str, bytes | None]], arguments: tuple[str, ...]
-) -> None:
+def test_the_source_is_not_overwritten(run: Run, contents: Contents, arguments: tuple[str, ...]) -> None:
     before = contents()
     result = run(*arguments)
     assert result.exit_code == 2
@@ -32,15 +29,13 @@ def test_the_source_is_not_overwritten(
     assert contents() == before
 
 
-def test_another_name_for_the_source_is_noticed(run: Callable[..., Result], folder: Path) -> None:
+def test_another_name_for_the_source_is_noticed(run: Run, folder: Path) -> None:
     (folder / "link.usdc").symlink_to(folder / "bar.usdc")
     assert "is the source itself" in run("convert", "bar.usdc", "link.usdc").stderr
 
 
 @pytest.mark.parametrize("target", ["bar_####.obj", "bar_%02d.obj"])
-def test_numbered_sources_are_noticed(
-    run: Callable[..., Result], contents: Callable[[], dict[str, bytes | None]], target: str
-) -> None:
+def test_numbered_sources_are_noticed(run: Run, contents: Contents, target: str) -> None:
     assert run("convert", "bar.npz", "bar_####.obj").exit_code == 0
     before = contents()
     for source in ("bar_####.obj", "bar_0001.obj"):
@@ -51,7 +46,7 @@ def test_numbered_sources_are_noticed(
 
 @pytest.mark.parametrize("options", [(), ("--flatten",)])
 def test_what_a_model_was_made_from_is_not_overwritten(
-    run: Callable[..., Result], folder: Path, contents: Callable[[], dict[str, bytes | None]], options: tuple[str, ...]
+    run: Run, folder: Path, contents: Contents, options: tuple[str, ...]
 ) -> None:
     assert run("encode", "bar.usdc", "bar.h5").exit_code == 0
     before = contents()

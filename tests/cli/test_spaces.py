@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.choices import SPACES
 from mixseq.cli.encode import command
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.edge import EdgeSpace
+from tests.cli.conftest import Run, succeed
 
 pytestmark = pytest.mark.slow
 
-Run = Callable[..., Result]
 
 NEW = ("gradient", "lri", "edge")
-
-
-def succeed(result: Result) -> str:
-    assert (result.exit_code, result.stderr) == (0, "")
-    return result.stdout
 
 
 def test_choices_are_the_spaces_of_the_code() -> None:

@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
+from tests.cli.conftest import Contents, Run, succeed
 from tests.meshes import tube
 
 pytestmark = pytest.mark.slow
-
-Run = Callable[..., Result]
-Contents = Callable[[], dict[str, bytes | None]]
-
-
-def succeed(result: Result) -> str:
-    assert (result.exit_code, result.stderr) == (0, "")
-    return result.stdout
 
 
 def write_mesh(path: Path, points: FloatArray, faces: Any) -> None:

@@ -11,7 +11,7 @@ import sys
 import sysconfig
 import time
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,6 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.cli import view as module
@@ -33,12 +32,11 @@ from mixseq.signals.model import Model
 from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live import viewer as live
 from mixseq.viewer.session import Save
+from tests.cli.conftest import Contents, Run
 from tests.viewer.pages import Opened
 
 pytestmark = pytest.mark.slow
 
-Run = Callable[..., Result]
-Contents = Callable[[], dict[str, bytes | None]]
 
 MIXSEQ = str(Path(sysconfig.get_path("scripts")) / "mixseq")
 PATIENCE = 60.0

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.cli import view as module
@@ -20,12 +19,11 @@ from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live import marking as live
 from mixseq.viewer.live.marking import MarkedMeshes
 from mixseq.viewer.marking import Marking, Pair
+from tests.cli.conftest import Run
 from tests.meshes import bar, tube
 
 pytestmark = pytest.mark.slow
 pytest.importorskip("viser", reason="the extra viewer is not installed")
-
-Run = Callable[..., Result]
 
 
 @pytest.fixture
