@@ -5,24 +5,17 @@
 `script` reads edits from files.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-from mixseq.runtime.lazy import lazy_getattr
-
-if TYPE_CHECKING:
-    from mixseq.operations.filters import exaggerate, smooth
-    from mixseq.operations.handles import Handle, pose
-    from mixseq.operations.limbs import exaggerate_part, hold
-    from mixseq.operations.resampling import resample
-    from mixseq.operations.retiming import Retiming, read_retiming, retime
-    from mixseq.operations.sculpt import sculpt
-    from mixseq.operations.shots import Moment, find_moments, fit_shots
-    from mixseq.operations.sketch import drag, sketch
-    from mixseq.operations.timeline import cut, in_place, loop, repeat, reverse, shift, speed, travel_of
-    from mixseq.operations.transitions import blend, concatenate, into, transition
-    from mixseq.signals.shape_exchange import key_poses, with_body
+from mixseq.operations.filters import exaggerate, smooth
+from mixseq.operations.handles import Handle, pose
+from mixseq.operations.limbs import exaggerate_part, hold
+from mixseq.operations.resampling import resample
+from mixseq.operations.retiming import Retiming, read_retiming, retime
+from mixseq.operations.sculpt import sculpt
+from mixseq.operations.shots import Moment, find_moments, fit_shots
+from mixseq.operations.sketch import drag, sketch
+from mixseq.operations.timeline import cut, in_place, loop, repeat, reverse, shift, speed, travel_of
+from mixseq.operations.transitions import blend, concatenate, into, transition
+from mixseq.signals.shape_exchange import key_poses, with_body
 
 __all__ = [
     "Handle",
@@ -56,18 +49,3 @@ __all__ = [
     "travel_of",
     "with_body",
 ]
-
-_NAMES = {
-    "mixseq.operations.filters": ("exaggerate", "smooth"),
-    "mixseq.operations.handles": ("Handle", "pose"),
-    "mixseq.operations.limbs": ("exaggerate_part", "hold"),
-    "mixseq.operations.resampling": ("resample",),
-    "mixseq.operations.retiming": ("Retiming", "read_retiming", "retime"),
-    "mixseq.operations.sculpt": ("sculpt",),
-    "mixseq.operations.shots": ("Moment", "find_moments", "fit_shots"),
-    "mixseq.operations.sketch": ("drag", "sketch"),
-    "mixseq.operations.timeline": ("cut", "in_place", "loop", "repeat", "reverse", "shift", "speed", "travel_of"),
-    "mixseq.operations.transitions": ("blend", "concatenate", "into", "transition"),
-    "mixseq.signals.shape_exchange": ("key_poses", "with_body"),
-}
-__getattr__ = lazy_getattr(__name__, {name: module for module, names in _NAMES.items() for name in names})
