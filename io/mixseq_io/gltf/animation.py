@@ -444,27 +444,9 @@ def _blend_linearly(points: Float, matrices: Float, weights: csr_array) -> Float
     return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], points) + blended[:, :, 3])
 
 
-def find_transform_nodes(document: Document, node: Fields, index: int) -> list[int]:
-    """Return the nodes whose matrices move a node's mesh: the joints of its skin, or the node itself if unskinned."""
-    skin = node.index("skin")
-    if skin is None:
-        return [index]
-    return read_joint_nodes(document, document.item("skins", skin))
-
-
-def read_joint_nodes(document: Document, skin: Fields) -> list[int]:
-    """Return the nodes of a skin's joints."""
-    joints = skin.integers("joints")
-    if not joints:
-        raise skin.error("has no joints; the file is damaged")
-    for joint in joints:
-        document.item("nodes", joint)
-    return joints
-
-
-def read_mesh_node(document: Document, scene: Scene, node: int, weld: Weld) -> MeshNode:
+def read_mesh_node(scene: Scene, node: int, weld: Weld) -> MeshNode:
     """Read a node with a welded mesh."""
-    fields = scene.nodes[node]
+    document, fields = scene.document, scene.nodes[node]
     positions = np.concatenate([each.positions for each in weld.primitives]).astype(np.float64)
     skin = fields.index("skin")
     return MeshNode(
@@ -473,13 +455,13 @@ def read_mesh_node(document: Document, scene: Scene, node: int, weld: Weld) -> M
         weld=weld,
         rest=positions[weld.representatives],
         weights=_read_still_weights(document, fields, count_targets(weld.primitives)),
-        skin=None if skin is None else _read_skin(document, document.item("skins", skin), weld),
+        skin=None if skin is None else _read_skin(scene, document.item("skins", skin), weld),
     )
 
 
-def _read_skin(document: Document, fields: Fields, weld: Weld) -> MeshSkin:
-    nodes = read_joint_nodes(document, fields)
-    inverse_binds = read_inverse_binds(document, fields, len(nodes))
+def _read_skin(scene: Scene, fields: Fields, weld: Weld) -> MeshSkin:
+    nodes = scene.joints(fields)
+    inverse_binds = read_inverse_binds(scene.document, fields, len(nodes))
     joints, weights = read_influences(weld.primitives)
     if not joints.size:
         raise fields.error("moves a mesh that has no JOINTS_0 and WEIGHTS_0; the file is damaged")

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError
 from mixseq.sequence.header import SequenceHeader
-from mixseq_io.gltf.animation import Channel, find_transform_nodes, read_channels, read_extra_number
+from mixseq_io.gltf.animation import Channel, read_channels, read_extra_number
 from mixseq_io.gltf.codecs import Json, Layout, add_channels, append
-from mixseq_io.gltf.document import Document, Fields, collect_extensions, read_uri
+from mixseq_io.gltf.document import Fields, collect_extensions, read_uri
 from mixseq_io.gltf.scene import Scene
 from mixseq_io.originals import warn_of_unretimed_motion
 from mixseq_io.reader import warn
@@ -215,30 +215,30 @@ class OtherMotion:
 NO_OTHER_MOTION = OtherMotion()
 
 
-def read_other_motion(document: Document, scene: Scene, excluded: Collection[int]) -> OtherMotion:
+def read_other_motion(scene: Scene, excluded: Collection[int]) -> OtherMotion:
     """Return the animation of nodes except `excluded` if the file has a single animation, else `NO_OTHER_MOTION`."""
-    animations = document.items("animations")
+    animations = scene.document.items("animations")
     if len(animations) != 1:
         return NO_OTHER_MOTION
-    animated = find_animated_nodes(document, scene) - {*excluded}
-    influencing = {each for node in animated for each in _influencing_nodes(document, scene, node)}
-    channels = read_channels(document, animations[0], influencing)
+    animated = find_animated_nodes(scene) - {*excluded}
+    influencing = {each for node in animated for each in _influencing_nodes(scene, node)}
+    channels = read_channels(scene.document, animations[0], influencing)
     paths = [scene.paths[node] for node in sorted(animated)]
     return OtherMotion(paths, channels, read_extra_number(animations[0], "start") or 0.0)
 
 
-def find_animated_nodes(document: Document, scene: Scene) -> set[int]:
+def find_animated_nodes(scene: Scene) -> set[int]:
     """Return the nodes with visible contents (meshes, cameras, lights) that any animation moves."""
-    animations = document.json.get("animations", ())
+    animations = scene.document.json.get("animations", ())
     targets = {channel["target"].get("node") for each in animations for channel in each["channels"]}
     return {
         node
         for node in scene.paths
         if any(key in scene.nodes[node] for key in _VISIBLE_MEMBERS)
-        and not targets.isdisjoint(_influencing_nodes(document, scene, node))
+        and not targets.isdisjoint(_influencing_nodes(scene, node))
     }
 
 
-def _influencing_nodes(document: Document, scene: Scene, node: int) -> set[int]:
+def _influencing_nodes(scene: Scene, node: int) -> set[int]:
     """Return a node, the nodes whose matrices move its mesh, and all ancestors of these nodes."""
-    return scene.with_ancestors([node, *find_transform_nodes(document, scene.nodes[node], node)])
+    return scene.with_ancestors([node, *scene.transform_nodes(node)])

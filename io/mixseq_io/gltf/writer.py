@@ -87,16 +87,16 @@ class MeshMatch:
     corners: Index
 
 
-def find_matches(document: Document, scene: Scene, header: SequenceHeader) -> list[MeshMatch]:
+def find_matches(scene: Scene, header: SequenceHeader) -> list[MeshMatch]:
     """Match the meshes of a sequence to a file by path, else by triangles if only one mesh in the file fits."""
     meshes = {path: node for node, path in scene.paths.items() if "mesh" in scene.nodes[node]}
 
     @cache
     def weld(node: int) -> Weld:
-        return weld_vertices(document, scene.nodes[node].integer("mesh"))
+        return weld_vertices(scene.document, scene.nodes[node].integer("mesh"))
 
     return match_meshes(
-        document.path,
+        scene.document.path,
         header,
         meshes,
         lambda scene_mesh, node: _match(scene_mesh, node, weld(node)),
@@ -137,12 +137,12 @@ def overlay_sequence(
     frames.
     """
     scene = read_scene(document)
-    matches = find_matches(document, scene, header)
+    matches = find_matches(scene, header)
     nodes = [match.node for match in matches]
     copied = deepcopy(document.json)
-    others = read_other_motion(document, scene, nodes)
+    others = read_other_motion(scene, nodes)
     others.warn_if_unretimed(document.path, header, sources)
-    _remove_animations(copied, document, scene, nodes)
+    _remove_animations(copied, scene, nodes)
     meshes = [_add_mesh(copied, document, match) for match in matches]
     roots = {scene.lineage(node)[-1] for node in nodes}
     scenes = [each for each in copied.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
@@ -197,16 +197,16 @@ def _set_transform(entry: Json, inverse: Json | None) -> None:
         entry["extras"] = extras
 
 
-def _remove_animations(copied: Json, document: Document, scene: Scene, nodes: Sequence[int]) -> None:
+def _remove_animations(copied: Json, scene: Scene, nodes: Sequence[int]) -> None:
     """Remove all animations, with a warning if there are several."""
     animations = copied.pop("animations", [])
     if len(animations) < 2:
         return
-    others = sorted(find_animated_nodes(document, scene) - {*nodes})
+    others = sorted(find_animated_nodes(scene) - {*nodes})
     names = [each.get("name") or f"animation {index}" for index, each in enumerate(animations)]
     static = format_names([scene.paths[node] for node in others])
     rest = f"; other objects that they moved will stand still: {static}" if others else ""
-    warn(f"{document.path}: the sequence takes the place of all its animations, {format_names(names)}{rest}")
+    warn(f"{scene.document.path}: the sequence takes the place of all its animations, {format_names(names)}{rest}")
 
 
 def _add_mesh(copied: Json, document: Document, match: MeshMatch) -> MovingMesh:
