@@ -184,7 +184,7 @@ FORMATS: tuple[Format, ...] = (
         capabilities=Capabilities(
             animation="point samples, models", points="float32, float64", units=True, velocities=True
         ),
-        reader="mixseq_io.loading:open_h5",
+        reader="mixseq_io.model_files:open_h5",
         writer="mixseq_io.hdf5.sequences:write_h5",
         signatures=(HDF5_SIGNATURE,),
     ),
@@ -210,7 +210,7 @@ FORMATS: tuple[Format, ...] = (
             times="float32, from 0 on",
             materials="carried along",
         ),
-        reader="mixseq_io.loading:open_gltf",
+        reader="mixseq_io.model_files:open_gltf",
         writer="mixseq_io.gltf.writer:write_gltf",
         read_options={
             "prim": _PRIM_OPTION,

@@ -422,6 +422,23 @@ def load_document(path: Path) -> Document:
     return document
 
 
+def has_sequence(path: Path) -> bool:
+    """Whether a .glb has a mesh sequence."""
+    with translate_read_errors(path, "glTF"):
+        data = open_data(path)
+        if data.read(0, 4) != b"glTF":
+            return False  # the reader reports the error
+        text, _ = read_glb_chunks(path, data)
+    # Files without a sequence are not parsed.
+    return f'"{SEQUENCE_EXTENSION}"'.encode() in text and bool(list_sequences(load_document(path)))
+
+
+def list_sequences(document: Document) -> list[Fields]:
+    """Return the extension objects of all mesh sequences, one for each body."""
+    extensions = [mesh.object("extensions") for mesh in document.items("meshes")]
+    return [each.object(SEQUENCE_EXTENSION) for each in extensions if SEQUENCE_EXTENSION in each]
+
+
 def collect_extensions(document: Mapping[str, Any]) -> set[str]:
     """Return the names of all extensions used in a document's JSON, declared or not."""
     names: set[str] = set()

@@ -51,9 +51,8 @@ from mixseq_io.gltf.document import (
     Document,
     Fields,
     collect_extensions,
+    list_sequences,
     load_document,
-    open_data,
-    read_glb_chunks,
 )
 from mixseq_io.gltf.edits import embed_image, iterate_references
 from mixseq_io.gltf.new_document import (
@@ -70,23 +69,6 @@ from mixseq_io.reader import as_float32, translate_read_errors, warn
 from mixseq_io.scene_meshes import SceneMesh
 
 
-def is_glb(path: Path) -> bool:
-    """Whether a file name ends in ``.glb``."""
-    return path.suffix.lower() == ".glb"
-
-
-def has_sequence(path: Path) -> bool:
-    """Whether a .glb has a mesh sequence."""
-    with translate_read_errors(path, "glTF"):
-        data = open_data(path)
-        if data.read(0, 4) != b"glTF":
-            return False  # the glTF reader reports the error
-        text, _ = read_glb_chunks(path, data)
-    if f'"{SEQUENCE_EXTENSION}"'.encode() not in text:  # avoids parsing files without a sequence
-        return False
-    return bool(_list_sequences(load_document(path)))
-
-
 def read_container(path: Path) -> Container:
     """Read the text and streams of a .glb's mesh sequences, the first body and further ones."""
     document = load_document(path)
@@ -96,7 +78,7 @@ def read_container(path: Path) -> Container:
             streams=_read_data(document, extension, "streams"),
             version=extension.integer("version"),
         )
-        for extension in _list_sequences(document)
+        for extension in list_sequences(document)
     ]
     if not containers:
         raise FormatError(f"{document.path} has no compressed model; make one with mixseq encode --max-error")
@@ -106,15 +88,9 @@ def read_container(path: Path) -> Container:
 def overhead_size(path: Path) -> int:
     """Return the size in bytes of a .glb's contents outside mesh sequences, such as stills and images."""
     document = load_document(path)
-    own = {extension.index(name) for extension in _list_sequences(document) for name in ("coding", "streams")}
+    own = {extension.index(name) for extension in list_sequences(document) for name in ("coding", "streams")}
     views = document.items("bufferViews")
     return sum(view.integer("byteLength") for index, view in enumerate(views) if index not in own)
-
-
-def _list_sequences(document: Document) -> list[Fields]:
-    """Return the extension objects of all mesh sequences, one for each body."""
-    extensions = [mesh.object("extensions") for mesh in document.items("meshes")]
-    return [each.object(SEQUENCE_EXTENSION) for each in extensions if SEQUENCE_EXTENSION in each]
 
 
 def _read_data(document: Document, extension: Fields, key: str) -> bytes:

@@ -12,7 +12,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
     TemporalInterpolation,
 )
 from mixseq_io.coded.streams import MAGIC, Stream, StreamIndex, read_index
-from mixseq_io.verification import read_container
+from mixseq_io.model_files import read_container
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 

@@ -24,7 +24,7 @@ from mixseq_io.coded.streams import (
     unpack_surface,
     unpack_times,
 )
-from mixseq_io.verification import compressed_sizes, read_compressed
+from mixseq_io.model_files import compressed_sizes, read_compressed
 from tests.formats.compressed.stream_cases import any_bytes
 from tests.meshes import tube
 
