@@ -49,9 +49,8 @@ from mixseq_io.alembic.samples import (
     select_samples,
     transform_points,
 )
-from mixseq_io.originals import match_meshes, warn_of_unretimed_motion
 from mixseq_io.reader import prefix_errors, translate_read_errors, warn
-from mixseq_io.scene_meshes import SceneMesh, format_names
+from mixseq_io.scene_meshes import SceneMesh, format_names, match_meshes, warn_of_unretimed_motion
 from mixseq_io.surfaces import RoundingMonitor
 
 CORNER_SCOPE = AbcGeom.GeometryScope.kFacevaryingScope

@@ -55,9 +55,8 @@ from mixseq_io.alembic.samples import (
     open_archive,
 )
 from mixseq_io.files import atomic_file
-from mixseq_io.originals import open_original_file
 from mixseq_io.reader import FrameBlock, as_float32, summarize_error, validate_blocks
-from mixseq_io.scene_meshes import SceneMesh, split_meshes
+from mixseq_io.scene_meshes import SceneMesh, open_original_file, split_meshes
 from mixseq_io.surfaces import RoundingMonitor, lost_scale, warn_of_losses
 
 ObjectPath = tuple[str, ...]

@@ -54,7 +54,6 @@ from mixseq_io.gltf.document import (
     list_sequences,
     load_document,
 )
-from mixseq_io.gltf.edits import embed_image, iterate_references
 from mixseq_io.gltf.new_document import (
     SplitPrimitive,
     add_material,
@@ -65,6 +64,7 @@ from mixseq_io.gltf.new_document import (
     node_transform,
     split_primitives,
 )
+from mixseq_io.gltf.writer import embed_image, iterate_references
 from mixseq_io.reader import as_float32, translate_read_errors, warn
 from mixseq_io.scene_meshes import SceneMesh
 

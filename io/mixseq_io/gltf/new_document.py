@@ -39,7 +39,6 @@ from mixseq_io.gltf.codecs import (
     compute_bounds,
     compute_glb_size,
 )
-from mixseq_io.gltf.edits import NO_OTHER_MOTION, OtherMotion
 from mixseq_io.reader import as_float32
 from mixseq_io.scene_meshes import SceneMesh, split_meshes
 from mixseq_io.surfaces import clip_to_unit, colours_to_exact_bytes
@@ -73,31 +72,10 @@ class MovingMesh:
 class MorphFrameWriter:
     """Writer of frames as morph targets; the constructor lays out the buffer, then frames are written in order."""
 
-    def __init__(
-        self,
-        layout: Layout,
-        meshes: Sequence[MovingMesh],
-        header: SequenceHeader,
-        keep_start: bool = False,
-        others: OtherMotion = NO_OTHER_MOTION,
-    ) -> None:
+    def __init__(self, layout: Layout, meshes: Sequence[MovingMesh], header: SequenceHeader) -> None:
         self._meshes, self._header = meshes, header
-        self._add_animation(layout, header, keep_start, others)
         self._frames = [self._reserve(layout, frame) for frame in range(header.frame_count)]
         self._first: tuple[FloatArray, list[Single]] | None = None
-
-    def _add_animation(self, layout: Layout, header: SequenceHeader, keep_start: bool, others: OtherMotion) -> None:
-        """Add the animation of the weights, 1 for the target of each frame."""
-        if header.frame_count == 1:
-            return
-        times, animation = create_animation(layout, header, keep_start)
-        count = header.frame_count * (header.frame_count - 1)
-        targets = np.arange(1, header.frame_count)
-        rows = ((targets == key).astype(np.float32) for key in range(header.frame_count))
-        weights = layout.accessor(layout.add(rows, 4 * count), count, "SCALAR")
-        add_channels(animation, times, weights, [mesh.node for mesh in self._meshes], "weights")
-        others.add_to(animation, layout, header)
-        append(layout.document, "animations", animation)
 
     def _reserve(self, layout: Layout, frame: int) -> tuple[int, list[Json]]:
         """Reserve a view for a frame; return its offset, and the accessors of points without bounds."""
@@ -153,8 +131,25 @@ class MorphFrameWriter:
 def size_with_frame_targets(header: SequenceHeader) -> int:
     """Return the size in bytes of a .glb with a morph target per frame; the text of bounds may differ in length."""
     layout, meshes = create_scene(header)
+    add_frame_animation(layout, meshes, header)
     MorphFrameWriter(layout, meshes, header)
     return compute_glb_size(layout)
+
+
+def add_frame_animation(
+    layout: Layout, meshes: Sequence[MovingMesh], header: SequenceHeader, keep_start: bool = False
+) -> Json | None:
+    """Add the animation of the weights, 1 for the target of each frame; return it, None for a single frame."""
+    if header.frame_count == 1:
+        return None
+    times, animation = create_animation(layout, header, keep_start)
+    count = header.frame_count * (header.frame_count - 1)
+    targets = np.arange(1, header.frame_count)
+    rows = ((targets == key).astype(np.float32) for key in range(header.frame_count))
+    weights = layout.accessor(layout.add(rows, 4 * count), count, "SCALAR")
+    add_channels(animation, times, weights, [mesh.node for mesh in meshes], "weights")
+    append(layout.document, "animations", animation)
+    return animation
 
 
 def create_animation(layout: Layout, header: SequenceHeader, keep_start: bool = False) -> tuple[int, Json]:
