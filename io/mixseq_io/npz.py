@@ -62,6 +62,7 @@ _DAMAGE_ERRORS = (
 """Exceptions that zipfile, zlib and NumPy raise for damaged files."""
 
 _COMPRESSION_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_HEADER_READERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
 class ArrayHeader(NamedTuple):
@@ -105,7 +106,10 @@ class Archive:
                 "save it again with numpy.savez"
             )
         with self._file.open(member) as stream:
-            header = self._header(name, stream)
+            version = npy.read_magic(stream)
+            if version not in _HEADER_READERS:
+                raise FormatError(f"{self._path}: {name} have npy version {version}; 1.0 and 2.0 can be read")
+            header = ArrayHeader(*_HEADER_READERS[version](stream))
             if header.dtype.hasobject:
                 raise DamageError(f"{name} has Python objects, which are not read")
             if stream.tell() + prod(header.shape) * header.dtype.itemsize != member.file_size:
@@ -114,14 +118,6 @@ class Archive:
                     "damaged"
                 )
             yield stream, header
-
-    def _header(self, name: str, stream: IO[bytes]) -> ArrayHeader:
-        version = npy.read_magic(stream)
-        if version == (1, 0):
-            return ArrayHeader(*npy.read_array_header_1_0(stream))
-        if version == (2, 0):
-            return ArrayHeader(*npy.read_array_header_2_0(stream))
-        raise FormatError(f"{self._path}: {name} have npy version {version}; 1.0 and 2.0 can be read")
 
 
 @contextmanager

@@ -87,12 +87,10 @@ def read_labels(
     return _choose_labels(file, sources, source)
 
 
-def extract_labels(
-    reader: SequenceReader, source: str | None = None, *, smallest_joint: float = MIN_JOINT_FACE_RATIO
-) -> Labels:
+def extract_labels(reader: SequenceReader, source: str | None = None) -> Labels:
     """Read the labels in the file of an open sequence; see `read_labels`."""
     sources, _ = _read_array(reader.path, reader.header)
-    sources |= _markings_sources(reader, reader.header, smallest_joint)
+    sources |= _markings_sources(reader, reader.header, MIN_JOINT_FACE_RATIO)
     return _choose_labels(reader.path, sources, source)
 
 
