@@ -16,7 +16,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError
@@ -27,7 +26,6 @@ from mixseq.types import Float, FloatArray, Index
 from mixseq_io.alembic.reader import (
     OVERLAY_KEY,
     Mesh,
-    MeshSource,
     find_meshes,
     stored_polygons,
 )
@@ -39,7 +37,6 @@ from mixseq_io.alembic.samples import (
     MeshTransform,
     create_array,
     create_time_sampling,
-    determinant,
     imath,
     open_archive,
     read_imath_sample,
@@ -200,7 +197,6 @@ class MeshMatch:
     mesh: Mesh
     corners: Index
     transform: MeshTransform
-    is_mirrored: bool
 
     def replace_points(self, schema: Any, sampling: int, has_velocities: bool) -> WriteSamples:
         """Create the properties that depend on points in a copied schema; return the writer of their samples."""
@@ -229,7 +225,7 @@ class MeshMatch:
                     own_velocities.setValue(array)
                 if normals is not None:
                     unit = corner_normals(own[None], mesh.polygons, mesh.normal_groups)[0]
-                    array = create_array(imath.V3fArray, -unit if self.is_mirrored else unit)
+                    array = create_array(imath.V3fArray, -unit if self.transform.is_mirrored else unit)
                     normals.set(AbcGeom.ON3fGeomParamSample(array, normal_ids, CORNER_SCOPE))
 
         return write
@@ -253,8 +249,8 @@ def match_archive(path: Path, header: SequenceHeader) -> Original:
             path,
             header,
             {mesh.path: mesh for mesh in meshes},
-            partial(_match, path, header),
-            partial(_describe_difference, path, header),
+            partial(_match, header),
+            partial(_describe_difference, header),
         )
         for match in matches:
             try:
@@ -264,29 +260,22 @@ def match_archive(path: Path, header: SequenceHeader) -> Original:
         return Original(path, archive, tuple(matches))
 
 
-def _match(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> MeshMatch | None:
+def _match(header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> MeshMatch | None:
     """Match a mesh of the sequence with a mesh of the archive; return None if vertices or faces differ."""
     if sample_length(mesh.schema.getPositionsProperty(), 0) != scene_mesh.vertex_count:
         return None
-    transform, source = _read_source(path, header, scene_mesh, mesh)
-    found = scene_mesh.match(*stored_polygons(source))
-    return found and MeshMatch(found[0], mesh, found[1].corners, transform, source.is_mirrored)
-
-
-def _read_source(
-    path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh
-) -> tuple[MeshTransform, MeshSource]:
     transform = MeshTransform.from_schemas(mesh.transforms, header.times, header.fps)
-    is_mirrored, vertices = determinant(transform.matrices[0]) < 0, slice(0, scene_mesh.vertex_count)
-    return transform, MeshSource(path, path.stat().st_size, mesh, vertices, is_mirrored, np.zeros(1))
+    found = scene_mesh.match(*stored_polygons(mesh, transform.is_mirrored, header.times))
+    return found and MeshMatch(found[0], mesh, found[1].corners, transform)
 
 
-def _describe_difference(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> str:
+def _describe_difference(header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> str:
     """Describe the first difference between a mesh of the sequence and the only candidate mesh in the archive."""
     count = sample_length(mesh.schema.getPositionsProperty(), 0)
     if count != scene_mesh.vertex_count:
         return f"{mesh.path} has {count} vertices, the sequence {scene_mesh.vertex_count}"
-    stored, order = stored_polygons(_read_source(path, header, scene_mesh, mesh)[1])
+    transform = MeshTransform.from_schemas(mesh.transforms, header.times, header.fps)
+    stored, order = stored_polygons(mesh, transform.is_mirrored, header.times)
     polygons = Polygons(stored.counts, stored.indices[order])
     return describe_difference(scene_mesh.polygons, polygons, ("the sequence", mesh.path))
 

@@ -278,6 +278,11 @@ class MeshTransform:
         now, before, after = (_evaluate_matrices(schemas, frames + shift / fps, window) for shift in (0.0, -0.5, 0.5))
         return cls(now, (after - before) * fps)
 
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the mesh is mirrored in the first frame."""
+        return determinant(self.matrices[0]) < 0
+
     def check_invertible(self) -> None:
         """Raise an error if a frame's matrix is singular."""
         with np.errstate(all="ignore"):
