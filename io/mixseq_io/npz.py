@@ -1,12 +1,10 @@
 """Read and write NumPy archives (zip files of arrays) in blocks of frames; pickled arrays are rejected.
 
-``docs/formats.md`` lists the arrays, among which are those of `mixseq_io.surfaces`.
-
 A small zip file can unpack to any size, and its headers can be wrong. The stored size of an array must match its shape,
 and all arrays that are read at once must fit the memory limit. Compression methods that NumPy does not write are
 rejected, since the memory for unpacking them is not limited.
 
-Specification: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
+Specification: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html and ``docs/formats.md``
 """
 
 from __future__ import annotations

@@ -1,16 +1,15 @@
 """Access to Alembic's Python binding, and evaluation of properties and transforms at frame times.
 
-Every Alembic property has its sample times in seconds: uniform, cyclic (several samples per shutter), or arbitrary.
-Between two samples of a transform, translation, stretch and rotation angle are interpolated linearly, as in Blender.
-Matrices act on row vectors: p' = p M.
+Every property has its sample times in seconds: uniform, cyclic (several samples per shutter), or arbitrary. Between two
+samples of a transform, translation, stretch and rotation angle are interpolated linearly, as in Blender. Matrices act
+on row vectors: p' = p M.
 
-In a copy of the original, new points are in mesh space. The transforms stay, so that their other children do not move,
-and caches of other programs can refer to the result. With points p in mesh space and the matrix M of a frame, the
-world-space points and velocities are
+In a copy of the original, new points are in mesh space, and the transforms stay: their other children do not move, and
+caches of other programs can refer to the result. Points p in mesh space are in the world, with time derivatives '
 
-    w = p M,    w' = p' M + p M'.
+    w = p M,    w' = p' M + p M',
 
-Here a prime is a time derivative. M' is the central difference over one frame, as during a renderer's open shutter.
+where M' is the central difference over one frame, as during a renderer's open shutter.
 
 Specification: https://docs.alembic.io/python/alembic.html, https://docs.alembic.io/reference/index.html
 """

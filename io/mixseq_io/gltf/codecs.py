@@ -1,17 +1,15 @@
 """Buffers of glTF files: layout, writing, compression and decompression.
 
-A buffer is laid out first, then written sequentially while frames arrive, without a copy in memory. All sizes and
-offsets are known beforehand, but the bounds of the points are not. Therefore the JSON at the start of a ``.glb`` is
-written last, into reserved space padded with spaces. A ``.gltf`` holds the buffer in base64 as its first member, since
-only a single file can be replaced atomically.
+A buffer is laid out first, then written sequentially while frames arrive, without a copy in memory. The bounds of
+points are known last, so the JSON at the start of a ``.glb`` is written last, into reserved space. A ``.gltf`` holds
+the buffer in base64 as its first member, since only a single file can be replaced atomically.
 
 Compressed files are read as uncompressed documents. Compressed views (``EXT_meshopt_compression``,
 ``KHR_meshopt_compression``) and primitives (``KHR_draco_mesh_compression``) get buffers that are unpacked on access, in
 a separate process, by meshopt and DracoPy (extra `gltf`). The uncompressed form of a primitive is preferred.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification,
-https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md,
-https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_draco_mesh_compression/README.md
+https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0 (``Vendor``, ``Khronos``)
 """
 
 from __future__ import annotations

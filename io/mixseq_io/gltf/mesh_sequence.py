@@ -1,13 +1,12 @@
 """Reader and writer of the glTF extension ``MIXSEQ_mesh_sequence``: frames as the streams of a compressed model.
 
-The text and streams are identical to the text and streams of an HDF5 file. They hold vertices, faces, texture
-coordinates and hard edges, so a decoder reads only materials from primitives. Specification: ``docs/file-format.md``.
+The text and streams are those of an HDF5 file, with vertices, faces, texture coordinates and hard edges. They precede
+textures in the file, for progressive loading. The still is the first frame as ordinary glTF primitives by material, for
+viewers without the extension: compressed by Draco (11 bits for points, 7 for normals), plain float32, or a degenerate
+triangle per material. Every body has a node in a scene of its own; viewers show the first. Materials are copied from
+the original by name. Frames and still are relative to the origin of the text, at which the node is.
 
-The still is the first frame as ordinary glTF primitives by material, for viewers without the extension. It is
-compressed by Draco (11 bits for points, 7 for normals), plain float32, or a degenerate triangle per material. Every
-body has a node in a scene of its own; viewers show the first scene. Materials are copied from the original by name. The
-text and streams precede textures in the file, for progressive loading. Frames and still are relative to the origin of
-the text, at which the node is.
+Specification: ``docs/file-format.md``.
 """
 
 from __future__ import annotations

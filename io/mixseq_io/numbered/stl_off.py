@@ -1,8 +1,8 @@
-"""Read and write numbered OFF and STL files, which store only triangles.
+"""Read and write numbered OFF and STL files, which store only triangles, and no surface but colours of OFF's vertices.
 
-OFF and COFF files are text with optional vertex colours. They are read by trimesh, which triangulates quads. Points are
-written with enough digits to restore the same float32 or float64; a comment states this precision. Points of files
-without this comment are read as float64. Specification: http://www.geomview.org/docs/html/OFF.html
+OFF and COFF files are text. They are read by trimesh, which triangulates quads. Points are written with enough digits
+to restore the same float32 or float64; a comment states this precision. Points of files without this comment are read
+as float64. Specification: http://www.geomview.org/docs/html/OFF.html
 
 STL stores the three positions of every triangle. Corners that coincide in all frames become one vertex, so that parts
 that touch in some frames only stay apart; vertices are numbered in order of appearance. Programs that compute a vertex
@@ -11,9 +11,6 @@ float32; text is read as float64, with all solids as one mesh. Files are written
 own parser: trimesh 5.2 skips invalid lines and data after an unclosed solid (100 of 732 damaged files were read), and
 rejects a solid with "vertex" in its name.
 Specification: https://www.loc.gov/preservation/digital/formats/fdd/fdd000504.shtml
-
-Neither format can store polygons, the name, times, frame rate, units, the up axis, velocities or the surface, except
-for one colour per vertex in OFF. STL also loses the order of vertices.
 """
 
 from __future__ import annotations

@@ -2,12 +2,8 @@
 
 Sources are label arrays (npz) and the family ``mixseq`` of subsets (USD), both named ``labels``; named sets of faces
 (``groups``), any other family of USD subsets, ``materials``, ``colours``, and skinning weights (``skeleton``).
-``docs/formats.md`` lists them by format.
-
-By default `labels` are preferred, since they were stored as labels. Other sources need at least two labels.
-
-Parts are written as arrays of triangle labels and polygon labels (npz), as subsets of polygons (USD), or as groups of
-polygons (OBJ, Alembic, HDF5). A polygon gets the most frequent label of its triangles.
+``docs/formats.md`` lists them by format. `labels` are preferred, since they were stored as labels. Other sources need
+at least two labels.
 """
 
 from __future__ import annotations

@@ -1,16 +1,12 @@
 """Read and write map files, which give the source vertex or triangle of every target vertex or triangle.
 
-``.npz``, written and read by `write_map`: arrays ``version`` (1), ``corners``, ``weights``, ``faces``, ``leaders`` and
-``sizes`` of a `Correspondence`, and the checksums ``source`` and ``target`` of both meshes' triangles, which detect
-other meshes. Archives by other programs need ``vertices`` (V',), or ``triangles`` (F',), or both ``corners`` and
-``weights`` (V', 3), as in `mixseq.retargeting.correspond`.
-
-Other files are JSON, or text with one row per line; ``docs/transfer.md`` describes both.
+``.npz`` has the arrays of a `Correspondence`, with checksums of both meshes' triangles, which detect other meshes.
+Archives by other programs need ``vertices`` (V',), or ``triangles`` (F',), or both ``corners`` and ``weights`` (V', 3),
+as in `mixseq.retargeting.correspond`. Other files are JSON, or text with one row per line (``docs/transfer.md``).
 
 If the kind of map is not stated, rows of four or five numbers are barycentric. Rows of one or two numbers are vertices,
-or triangles in ``.tricorrs`` files (Sumner and Popović). Triangle maps use the first source of each target. Comments
-(``#``) and empty lines are skipped. Rows of several numbers may follow a line with the number of rows. Vertices and
-triangles are numbered from 0. A target without a row has no source.
+or triangles in ``.tricorrs`` files (Sumner and Popović). Triangle maps use the first source of each target. Rows of
+several numbers may follow a line with the number of rows. A target without a row has no source.
 """
 
 from __future__ import annotations

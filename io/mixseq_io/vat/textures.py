@@ -8,9 +8,8 @@ Low rank
     Normals are sums with the same coefficients; their basis vectors are fitted by least squares.
 
 Shaders decode values as :math:`o + s\,p` from a pixel :math:`p` between 0 and 1. PNG stores `p` in 16 bits, or in 8
-bits for plain normals. EXR stores the values, with o = 0 and s = 1. This module writes PNG with zlib, since Pillow
-cannot write three channels of 16 bits. Each PNG row is stored unchanged, or minus the pixels to the left, or minus the
-pixels above, whichever has the smallest sum of magnitudes, as in libpng.
+bits for plain normals. EXR stores the values, with o = 0 and s = 1. PNG is written with zlib, since Pillow cannot write
+three channels of 16 bits; of each row, that filter is stored which has the smallest sum of magnitudes, as in libpng.
 
 A texel represents a vertex with one normal; glTF vertices that differ only by texture coordinates or materials share a
 texel. A *layer* holds one value of every texel, for a frame or for four basis vectors, in several rows of the texture.
