@@ -91,17 +91,14 @@ def write_measured_rig(path: Path, rig: Skin | Morph, sequence: MeshSequence, bo
 
 
 def _write(file: Path, rig: Skin | Morph, check: Callable[[Path], object] | None = None) -> None:
+    from mixseq.rigging.rigs import Skin
+
     check_rig_target(file)
     if file.suffix.lower() in USD_EXTENSIONS:
         from mixseq_io.usd.rigs import write_usd_rig
 
         write_usd_rig(file, rig, check)
-    else:
-        _write_gltf_rig(file, rig, check)
-
-
-def _write_gltf_rig(file: Path, rig: Skin | Morph, check: Callable[[Path], object] | None) -> None:
-    from mixseq.rigging.rigs import Skin
+        return
     from mixseq_io.gltf.codecs import open_buffer_writer
     from mixseq_io.gltf.rigs import create_morphed_scene, create_skinned_scene
     from mixseq_io.gltf.writer import standalone_losses, warn_of_changes

@@ -89,19 +89,6 @@ def _find_path(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
     return found
 
 
-def select_moving_meshes(file: Path, meshes: Sequence[SceneObject], is_moving: Sequence[bool]) -> list[int]:
-    """Return the indices of moving meshes, and warn of omitted static meshes; return all indices if no mesh moves."""
-    if not any(is_moving):
-        return list(range(len(meshes)))
-    static = [mesh.path for mesh, moves in zip(meshes, is_moving, strict=True) if not moves]
-    if static:
-        warn(
-            f"{file}: meshes that stand still are left out; prim='/' (--prim / on the command line) takes them, too: "
-            f"{format_names(static)}"
-        )
-    return [index for index, moves in enumerate(is_moving) if moves]
-
-
 _READ_ERRORS = (MixseqError, RuntimeError, ValueError, TypeError, LookupError, ArithmeticError)
 """Errors of readers and libraries about damaged meshes."""
 
@@ -142,7 +129,12 @@ def read_valid_meshes(
     if errors:
         reasons = [_describe_damage(file, meshes[index].path, error) for index, error in errors.items()]
         warn(f"{file}: meshes that cannot be read are left out: {format_names(reasons, str)}")
-    select_moving_meshes(file, [meshes[i] for i in candidates], [is_moving[i] for i in candidates])  # for its warning
+    static = [meshes[index].path for index in sorted({*candidates} - {*chosen})]
+    if static:
+        warn(
+            f"{file}: meshes that stand still are left out; prim='/' (--prim / on the command line) takes them, too: "
+            f"{format_names(static)}"
+        )
     return results
 
 

@@ -224,12 +224,6 @@ class NewMesh:
         return frame_count * (12 * vector_count + SAMPLE_OVERHEAD_BYTES) + constant
 
 
-def plan_meshes(header: SequenceHeader) -> list[NewMesh]:
-    """Return the meshes of a new archive of a sequence."""
-    scene_meshes = split_meshes(header)
-    return list(map(NewMesh, scene_meshes, choose_paths(header, scene_meshes)))
-
-
 def create_meshes(top: Any, new_meshes: Sequence[NewMesh], sampling: int, origin: Float) -> list[WriteSamples]:
     """Create meshes below identity transforms, each transform with its first mesh: readers go depth-first.
 
@@ -263,7 +257,8 @@ def write_alembic(
     """Write an Alembic file; options as in `FORMATS`. `sources` ``(T,)`` are the original's times in s at frames."""
     match = partial(match_archive, header=header)
     original = open_original_file(path, header, flatten, onto, "Alembic", match)
-    new_meshes = [] if original else plan_meshes(header)
+    scene_meshes = [] if original else split_meshes(header)
+    new_meshes = list(map(NewMesh, scene_meshes, choose_paths(header, scene_meshes)))
     has_velocities = velocities is not None
     with atomic_file(path) as temporary:
         _, numbered = validate_blocks(header, blocks, velocities)

@@ -35,7 +35,16 @@ from mixseq.mesh.measures import bounding_box
 from mixseq.types import Single
 from mixseq.version import __version__
 from mixseq_io.files import atomic_file
-from mixseq_io.gltf.document import DRACO_EXTENSION, MESHOPT_EXTENSIONS, Document, Fields, element_layout
+from mixseq_io.gltf.document import (
+    DRACO_EXTENSION,
+    MESHOPT_EXTENSIONS,
+    Document,
+    Fields,
+    element_layout,
+    remove_extension,
+    undeclare_extensions,
+    used_extensions,
+)
 from mixseq_io.isolation import call_isolated
 from mixseq_io.surfaces import colours_to_bytes
 
@@ -349,37 +358,22 @@ def compress_triangles(
 
 def decompress_document(document: Document) -> Document:
     """Return an uncompressed form of a document, whose compressed data are unpacked on access."""
-    compressions = (DRACO_EXTENSION, *MESHOPT_EXTENSIONS)
-    views = [
-        (index, view, view.object("extensions").object(name))
-        for index, view in enumerate(document.items("bufferViews"))
-        for name in [each for each in MESHOPT_EXTENSIONS if each in view.object("extensions")][:1]
-    ]
-    primitives = [
-        (mesh_index, index, primitive)
-        for mesh_index, mesh in enumerate(document.items("meshes"))
-        for index, primitive in enumerate(mesh.objects("primitives"))
-        if DRACO_EXTENSION in primitive.object("extensions")
-    ]
-    declared = {member: document.top.texts(member) for member in ("extensionsUsed", "extensionsRequired")}
-    if not (views or primitives or any(name in names for names in declared.values() for name in compressions)):
+    compressions = {DRACO_EXTENSION, *MESHOPT_EXTENSIONS}
+    if not compressions & used_extensions(document):
         return document
     edited = replace(document, json=deepcopy(document.json), unpackers={})
-    for member, names in declared.items():
-        edited.json.pop(member, None)
-        others = [name for name in names if name not in compressions]
-        if others:
-            edited.json[member] = others
+    undeclare_extensions(edited.json, compressions)
     for buffer in edited.json.get("buffers", ()):
         buffer.pop("extensions", None)
-    for index, view, packed in views:
-        _replace_view(document, edited, index, view, packed)
-    for mesh_index, index, primitive in primitives:
-        _replace_primitive(document, edited, primitive)
-        entry = edited.json["meshes"][mesh_index]["primitives"][index]
-        del entry["extensions"][DRACO_EXTENSION]
-        if not entry["extensions"]:
-            del entry["extensions"]
+    for index, view in enumerate(document.items("bufferViews")):
+        extensions = view.object("extensions")
+        for name in [each for each in MESHOPT_EXTENSIONS if each in extensions][:1]:
+            _replace_view(document, edited, index, view, extensions.object(name))
+    for mesh_index, mesh in enumerate(document.items("meshes")):
+        for index, primitive in enumerate(mesh.objects("primitives")):
+            if DRACO_EXTENSION in primitive.object("extensions"):
+                _replace_primitive(document, edited, primitive)
+                remove_extension(edited.json["meshes"][mesh_index]["primitives"][index], DRACO_EXTENSION)
     return edited
 
 

@@ -24,6 +24,8 @@ from mixseq_io.gltf.document import (
     Document,
     Fields,
     load_document,
+    remove_extension,
+    undeclare_extensions,
     used_extensions,
 )
 from mixseq_io.reader import warn
@@ -37,8 +39,8 @@ _INSTANCE_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}  # numbers of a
 
 def load_plain_document(path: Path) -> Document:
     """Read a .gltf or .glb file, without compression, pointers of animations to nodes, and instances."""
-    document = decompress_document(load_document(path))
-    if not {POINTER_EXTENSION, INSTANCING_EXTENSION} & used_extensions(document):
+    document, extensions = decompress_document(load_document(path)), {POINTER_EXTENSION, INSTANCING_EXTENSION}
+    if not extensions & used_extensions(document):
         return document
     plain = replace(document, json=deepcopy(document.json))
     instances = {}
@@ -53,10 +55,7 @@ def load_plain_document(path: Path) -> Document:
             for channel in animation.objects("channels")
             for target in _resolve(document, channel.object("target"), instances)
         ]
-    for member in ("extensionsUsed", "extensionsRequired"):
-        names = [each for each in document.top.texts(member) if each not in (POINTER_EXTENSION, INSTANCING_EXTENSION)]
-        plain.json.pop(member, None)
-        plain.json.update({member: names} if names else {})
+    undeclare_extensions(plain.json, extensions)
     return plain
 
 
@@ -104,14 +103,11 @@ def _add_instances(document: Document, plain: Json, index: int) -> list[int]:
     document.check_effort(16 * (len(plain["nodes"]) + count), "instances of all meshes together")
     entry = plain["nodes"][index]
     shared = {key: entry.pop(key) for key in ("mesh", "weights") if key in entry}
-    del entry["extensions"][INSTANCING_EXTENSION]
-    if not entry["extensions"]:
-        del entry["extensions"]
+    remove_extension(entry, INSTANCING_EXTENSION)
+    transforms = ({name: values[name][k].tolist() for name in stored} for k in range(count))
     children = [
-        append(
-            plain, "nodes", {"name": f"instance {k}", **shared, **{name: values[name][k].tolist() for name in stored}}
-        )
-        for k in range(count)
+        append(plain, "nodes", {"name": f"instance {k}", **shared, **transform})
+        for k, transform in enumerate(transforms)
     ]
     if children or "children" in entry:
         entry["children"] = children + entry.get("children", [])
