@@ -18,13 +18,7 @@ from mixseq.types import FloatArray, IntArray, PathLike
 from mixseq.version import __version__
 from mixseq_io.files import check_memory, memory_limit
 from mixseq_io.gltf.document import has_sequence
-from mixseq_io.hdf5.contents import (
-    MODEL_FORMAT,
-    parse_container,
-    read_attributes,
-    read_contents,
-    translate_h5_errors,
-)
+from mixseq_io.hdf5.contents import MODEL_FORMAT, parse_container, read_attributes, read_contents, translate_h5_errors
 from mixseq_io.reader import SequenceReader
 from mixseq_io.registry import HDF5_SIGNATURE
 

@@ -23,12 +23,7 @@ from mixseq.mesh.measures import bounding_box, corner_normals
 from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
-from mixseq_io.alembic.reader import (
-    OVERLAY_KEY,
-    Mesh,
-    find_meshes,
-    stored_polygons,
-)
+from mixseq_io.alembic.reader import OVERLAY_KEY, Mesh, find_meshes, stored_polygons
 from mixseq_io.alembic.samples import (
     LIBRARY_ERRORS,
     Abc,

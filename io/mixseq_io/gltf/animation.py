@@ -23,13 +23,7 @@ from mixseq_io.gltf.document import POINTER_EXTENSION, Document, Fields, load_do
 from mixseq_io.gltf.primitives import Weld, count_targets, read_deltas, read_influences
 from mixseq_io.gltf.scene import Pose, Scene
 from mixseq_io.reader import warn
-from mixseq_io.scene_meshes import (
-    MAX_INSERTED_FRAMES,
-    TIME_TOLERANCE,
-    format_names,
-    insert_times,
-    snap_to_frames,
-)
+from mixseq_io.scene_meshes import MAX_INSERTED_FRAMES, TIME_TOLERANCE, format_names, insert_times, snap_to_frames
 
 _MAX_FRAME_COUNT = 1_000_000
 _MIN_GAP_FRAMES = 1.5
