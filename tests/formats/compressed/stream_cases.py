@@ -6,11 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.compression.bitstream.compressed_sequence import (
-    CodingParameters,
-    CompressedSequence,
-    TemporalInterpolation,
-)
+from mixseq.compression.bitstream.compressed_sequence import CodingParameters, CompressedSequence, TemporalInterpolation
 from mixseq_io.coded.streams import MAGIC, Stream, StreamIndex, read_index
 from mixseq_io.model_files import read_container
 
