@@ -99,7 +99,7 @@ def _write(file: Path, rig: Skin | Morph, check: Callable[[Path], object] | None
 
         write_usd_rig(file, rig, check)
         return
-    from mixseq_io.gltf.codecs import open_buffer_writer
+    from mixseq_io.gltf.buffers import open_buffer_writer
     from mixseq_io.gltf.rigs import create_morphed_scene, create_skinned_scene
     from mixseq_io.gltf.writer import standalone_losses, warn_of_changes
 

@@ -30,7 +30,7 @@ from mixseq.types import Float, FloatArray, Single
 from mixseq_io.coded.packing import pack
 from mixseq_io.coded.streams import Container
 from mixseq_io.files import check_memory
-from mixseq_io.gltf.codecs import (
+from mixseq_io.gltf.buffers import (
     COMPONENT_TYPES,
     FLOAT_COMPONENT,
     GENERATOR_NAME,
@@ -38,11 +38,11 @@ from mixseq_io.gltf.codecs import (
     Json,
     Layout,
     append,
-    compress_triangles,
     compute_bounds,
     compute_glb_size,
     open_buffer_writer,
 )
+from mixseq_io.gltf.codecs import compress_triangles
 from mixseq_io.gltf.document import (
     DRACO_EXTENSION,
     MALFORMED_JSON_ERRORS,

@@ -27,7 +27,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, IntArray, Single
-from mixseq_io.gltf.codecs import (
+from mixseq_io.gltf.buffers import (
     ARRAY_BUFFER,
     ELEMENT_ARRAY_BUFFER,
     GENERATOR_NAME,

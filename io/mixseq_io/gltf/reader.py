@@ -47,8 +47,8 @@ from mixseq_io.gltf.animation import (
     read_mesh_node,
     sample_times,
 )
+from mixseq_io.gltf.codecs import load_plain_document
 from mixseq_io.gltf.document import Document, Fields, unknown_extensions, used_extensions
-from mixseq_io.gltf.expansion import load_plain_document
 from mixseq_io.gltf.primitives import Primitive, Weld, texture_transform, weld_vertices
 from mixseq_io.gltf.scene import Pose, Scene, read_scene
 from mixseq_io.reader import AnimationReader, SequenceReader, prefix_errors, warn

@@ -30,7 +30,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
 from mixseq_io.gltf.animation import Channel, read_channels, read_extra_number
-from mixseq_io.gltf.codecs import (
+from mixseq_io.gltf.buffers import (
     ELEMENT_ARRAY_BUFFER,
     GENERATOR_NAME,
     Json,
@@ -39,8 +39,8 @@ from mixseq_io.gltf.codecs import (
     append,
     open_buffer_writer,
 )
+from mixseq_io.gltf.codecs import load_plain_document
 from mixseq_io.gltf.document import MALFORMED_JSON_ERRORS, Document, Fields, collect_extensions, read_uri
-from mixseq_io.gltf.expansion import load_plain_document
 from mixseq_io.gltf.new_document import (
     MorphFrameWriter,
     MovingMesh,

@@ -35,7 +35,7 @@ from mixseq.mesh.measures import NO_ORIGIN
 from mixseq.rigging.low_rank import LowRank
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
-from mixseq_io.gltf.codecs import ARRAY_BUFFER, Layout
+from mixseq_io.gltf.buffers import ARRAY_BUFFER, Layout
 from mixseq_io.gltf.new_document import MovingMesh, create_scene
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]

@@ -25,7 +25,7 @@ from mixseq.signals.decoding import Decodable, hold_between, largest_distance, q
 from mixseq.signals.fitting import as_motion
 from mixseq.signals.model import Model
 from mixseq_io.files import atomic_folder
-from mixseq_io.gltf.codecs import open_buffer_writer
+from mixseq_io.gltf.buffers import open_buffer_writer
 from mixseq_io.reader import warn
 from mixseq_io.vat.textures import (
     MAX_TEXTURE_SIDE_PIXELS,
