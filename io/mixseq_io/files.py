@@ -351,10 +351,7 @@ def raise_system_error(message: str, folder: Path) -> None:
 
 @contextmanager
 def _prepare_target(path: str | os.PathLike[str], is_folder: bool = False) -> Iterator[tuple[Path, Path]]:
-    """Yield the target to which links lead, and a prefix of temporary paths beside it; translate errors of the system.
-
-    At the end, the target's folder is flushed.
-    """
+    """Yield a target, links resolved, and a prefix of temporary paths beside it; translate errors, flush its folder."""
     target = Path(os.path.realpath(path))
     try:
         check_target(path, is_folder)

@@ -135,11 +135,7 @@ def write_cache(
     byte_order: str,
     losses: Iterable[str],
 ) -> None:
-    """Write a point cache, and beside it ``<name>.obj`` with the first frame; after an error neither file is written.
-
-    An existing OBJ file is replaced only if it has the same faces. `byte_order` is "<" or ">". `losses` describe lost
-    times; velocities are always lost.
-    """
+    """Write a cache, and beside it ``<name>.obj`` with the first frame, or neither; `losses` describe lost times."""
     target = Path(os.path.realpath(path))
     mesh = target.with_suffix(".obj")
     _check_existing_mesh(target, mesh, header)

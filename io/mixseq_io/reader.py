@@ -147,10 +147,7 @@ def warn(message: str) -> None:
 
 
 class SequenceReader(ABC):
-    """Open file of a mesh sequence, usable as a context manager.
-
-    Subclasses open the file, read its header, and implement `_read`.
-    """
+    """Open file of a mesh sequence, usable as a context manager; subclasses implement `_read`."""
 
     def __init__(
         self,

@@ -245,11 +245,7 @@ def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
 def measure_file_between(
     path: Path, header: SequenceHeader, points_at: Callable[[Float], Iterable[FloatArray]]
 ) -> float | None:
-    """Return the largest distance of a written file from a motion, at the quarters between its frames, in its units.
-
-    `points_at` returns the motion's points in blocks ``(B, V, 3)`` at times ``(N,)`` of the file. The result is None if
-    the file has other meshes as well.
-    """
+    """Return the largest distance of a file from a motion between frames, in its units; None if it has other meshes."""
     from mixseq.signals.decoding import largest_distance, played_blocks, quarter_times
     from mixseq_io.registry import open_sequence
 

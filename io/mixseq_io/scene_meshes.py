@@ -474,10 +474,7 @@ def match_meshes(
 
 
 def describe_difference_up_to_winding(polygons: Polygons, stored: Polygons, name: str) -> str:
-    """Describe the first difference of a sequence's polygons from stored ones, in the winding with more equal polygons.
-
-    Stored polygons are reversed if their mesh is mirrored or left-handed; `name` is the name of their mesh.
-    """
+    """Describe the first difference of polygons from those of a mesh, in the winding with more equal polygons."""
     reversed_polygons = Polygons(stored.counts, stored.indices[reversed_winding(stored.counts, keep_first=True)])
     closest = max((stored, reversed_polygons), key=partial(count_common_polygons, polygons))
     return describe_difference(polygons, closest, ("the sequence", name))

@@ -304,11 +304,7 @@ def copy_archive(
     has_velocities: bool,
     sources: ArrayLike | None = None,
 ) -> list[WriteSamples]:
-    """Copy an archive into the empty archive `copy`, and return writers of the meshes that get new points.
-
-    `sampling` is the index of the frames' time sampling, `sources` ``(T,)`` are the archive's times in s at the
-    frames, and `path` is the file name in warnings.
-    """
+    """Copy an archive into the empty one `copy`; return writers of the meshes that get new points."""
     paths = {match.mesh.path for match in original.matches}
     copier = _Copier(copy, paths, header.times, original.path.stat().st_size)
     copier.copy_objects(original.archive.getTop())

@@ -201,10 +201,7 @@ def _read_scene_mesh(animated: _AnimatedMesh) -> SceneMesh:
 
 
 def stored_polygons(mesh: Mesh, is_mirrored: bool, times: Float) -> tuple[Polygons, Index]:
-    """Return the polygons as stored, and the index of the stored corner for each corner in mixseq's order.
-
-    `is_mirrored` refers to the transforms in the first frame; frame times ``(T,)`` in s are used in messages.
-    """
+    """Return the polygons as stored, and the stored corner of each corner in mixseq's order."""
     properties = mesh.schema.getFaceCountsProperty(), mesh.schema.getFaceIndicesProperty()
     stored = Polygons(*(_read_constant(mesh, array, times) for array in properties))
     if is_mirrored:

@@ -238,10 +238,7 @@ def interpolate_matrices(first: Float, second: Float, weight: float) -> Float:
 
 
 def transform_points(points: FloatArray, matrix: Float) -> FloatArray:
-    """Transform points ``(V, 3)`` by a matrix ``(4, 4)``, or vectors ``(V, 3)`` by a linear matrix ``(3, 3)``.
-
-    The result is in double precision unless the matrix is the identity.
-    """
+    """Transform points ``(V, 3)`` by a matrix ``(4, 4)`` or ``(3, 3)``, in doubles unless it is the identity."""
     if np.array_equal(matrix, np.eye(len(matrix))):
         return points
     with np.errstate(all="ignore"):  # the reader reports overflow with its vertex

@@ -225,10 +225,7 @@ class NewMesh:
 
 
 def create_meshes(top: Any, new_meshes: Sequence[NewMesh], sampling: int, origin: Float) -> list[WriteSamples]:
-    """Create meshes below identity transforms, each transform with its first mesh: readers go depth-first.
-
-    Transforms at the top move the meshes to an origin ``(3,)``.
-    """
+    """Create meshes below transforms, depth-first as readers go; those at the top move them to an origin ``(3,)``."""
     objects: dict[ObjectPath, Any] = {(): top}
     writers = []
     for new_mesh in new_meshes:
@@ -314,10 +311,7 @@ def _write(
 
 
 def _check_disk_space(path: Path, size: int) -> None:
-    """Raise an error if the disk has less free space than `size` in bytes.
-
-    On a full disk, the library would crash the process by a C++ exception in a destructor.
-    """
+    """Raise an error if fewer than `size` bytes are free: on a full disk, the library would crash the process."""
     with path.open("wb") as file:
         if hasattr(os, "posix_fallocate"):  # respects quotas and size limits
             os.posix_fallocate(file.fileno(), 0, size)

@@ -243,10 +243,7 @@ _HARD_EDGES = "hard_edges"
 
 
 def pack_times(times: Float, fps: float) -> bytes:
-    """Pack the deviations of times ``(T,)`` from ``times[0] + n / fps``; return no bytes if all are zero.
-
-    A deviation is the difference of two float64 bit patterns read as integers, so it is exact.
-    """
+    """Pack deviations of times ``(T,)`` from ``times[0] + n / fps`` as integers of bits; no bytes if all are zero."""
     deviations = _as_integers(times) - _as_integers(_regular_times(float(times[0]), len(times), fps))
     return zlib.compress(_shuffle_bytes(np.diff(deviations, prepend=0)), 9) if deviations.any() else b""
 

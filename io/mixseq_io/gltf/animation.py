@@ -227,10 +227,7 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
 
 
 def animation_choices(path: Path) -> dict[str, str]:
-    """Return a part of file names for every animation of a file, with the choice that selects it.
-
-    The part is empty for an animation that is the only one and has no name.
-    """
+    """Return the choice of every animation by a part of file names, which is empty for a single unnamed one."""
     names = [each.text("name") for each in load_document(path).items("animations")]
     if names == [""]:
         return {"": "0"}
@@ -360,10 +357,7 @@ def _read_channel(document: Document, fields: Fields, node: int, name: str, samp
 
 @dataclass(frozen=True, eq=False)
 class MeshSkin:
-    """Skin with the nodes of J joints, weights ``(W, J)`` with row sums 1, and inverse bind matrices ``(J, 4, 4)``.
-
-    Inverse bind matrices map mesh space to each joint's space in the bind pose.
-    """
+    """Skin of J joint nodes: weights ``(W, J)`` with row sums 1; matrices ``(J, 4, 4)`` from mesh to joint space."""
 
     joints: Sequence[int]
     inverse_binds: Float
@@ -377,10 +371,7 @@ class MeshSkin:
 
 @dataclass(frozen=True, eq=False)
 class MeshNode:
-    """Node with a welded mesh: rest points ``(W, 3)``, static morph weights ``(K,)``, and optionally a skin.
-
-    The transform of a node with a skin has no effect.
-    """
+    """Node with a welded mesh: rest points ``(W, 3)``, morph weights ``(K,)``, and a skin in place of its transform."""
 
     scene: Scene
     node: int

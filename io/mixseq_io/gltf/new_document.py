@@ -153,10 +153,7 @@ def add_frame_animation(
 
 
 def create_animation(layout: Layout, header: SequenceHeader, keep_start: bool = False) -> tuple[int, Json]:
-    """Add float32 key times ``(T,)`` of the frames; return their accessor, and an animation without channels.
-
-    The animation's extras are ``fps``, and ``start`` (the time in s at key time 0) unless this time is 0.
-    """
+    """Add key times ``(T,)`` of the frames; return their accessor, and an animation with rate and start as extras."""
     start = choose_start(header, keep_start)
     keys = (header.times - start).astype(np.float32)
     is_equal = np.diff(keys) <= 0
@@ -197,10 +194,7 @@ class SplitPrimitive:
 
 
 def split_primitives(mesh: SceneMesh) -> list[SplitPrimitive]:
-    """Split a mesh into primitives: one per face set in `assign_face_sets`, and one for the remaining polygons.
-
-    Vertices keep their order within a primitive. Vertices without polygons belong to the first primitive.
-    """
+    """Split a mesh into a primitive per face set of `assign_face_sets`, and one of others; loose vertices go first."""
     corner_count, vertex_count = mesh.polygons.indices.size, mesh.vertex_count
     owner_of_corner = np.repeat(assign_face_sets(mesh).astype(np.int64) + 1, mesh.polygons.counts)
     layers = {name: layer for name, layer in (("TEXCOORD_0", mesh.uvs), ("COLOR_0", mesh.colours)) if layer is not None}
@@ -306,10 +300,7 @@ def group_nodes(
 
 
 def node_transform(header: SequenceHeader, origin: Float = NO_ORIGIN) -> Json:
-    """Return the node transform of points relative to an origin ``(3,)``, or {} for the identity.
-
-    It adds the origin, and turns and scales from the axes and units of a sequence to Y up and metres.
-    """
+    """Return the transform to Y up and metres of points relative to an origin ``(3,)``, or {} for the identity."""
     columns = {"X": [(0, 1, 0), (-1, 0, 0), (0, 0, 1)], "Z": [(1, 0, 0), (0, 0, -1), (0, 1, 0)]}
     matrix = np.eye(4)
     matrix[:3, :3] = header.metres_per_unit * np.array(columns.get(header.up_axis, np.eye(3)))

@@ -118,10 +118,7 @@ class Scene:
     def world_matrices(
         self, nodes: Iterable[int], pose: Pose, world: dict[int, Float] | None = None
     ) -> dict[int, Float]:
-        """Return the local-to-world matrices of nodes and their ancestors, ``(B, 4, 4)`` or constant ``(1, 4, 4)``.
-
-        They are added to `world`, if given, unless they are there.
-        """
+        """Return local-to-world matrices ``(B or 1, 4, 4)`` of nodes and ancestors, added to `world` if given."""
         world = {} if world is None else world
         world.setdefault(-1, np.eye(4)[None])
         for node in nodes:

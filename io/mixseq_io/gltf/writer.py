@@ -133,11 +133,7 @@ def _orient(triangles: NDArray[Any], mirrored: bool) -> NDArray[Any]:
 def overlay_sequence(
     document: Document, header: SequenceHeader, origin: Float = NO_ORIGIN, sources: ArrayLike | None = None
 ) -> tuple[Layout, list[MovingMesh], OtherMotion]:
-    """Return a copy of a document with its data, the meshes to write, and the animation outside the sequence.
-
-    Points are relative to an origin ``(3,)``. `sources` ``(T,)`` are the times in s of the original's animation at the
-    frames.
-    """
+    """Return a copy of a document with its data, the meshes to write relative to an origin, and the other animation."""
     scene = read_scene(document)
     matches = find_matches(scene, header)
     nodes = [match.node for match in matches]
@@ -174,10 +170,7 @@ def overlay_sequence(
 
 
 def _find_inverse(scene: Scene, node: int, animated: Set[int], origin: Float) -> Json | None:
-    """Return the transform of a node whose points are relative to an origin, not to the transforms above it.
-
-    It is None if the node is hidden or no static TRS inverse exists.
-    """
+    """Return the transform of a node whose points are relative to an origin; None if hidden or without TRS inverse."""
     parent = scene.parents[node]
     if node in scene.hidden or not animated.isdisjoint(scene.lineage(parent)):
         return None
@@ -271,10 +264,7 @@ _PRUNABLE_PREFIXES = ("KHR_node_", "KHR_materials_", "KHR_texture_", "EXT_textur
 
 
 def prune(path: Path, document: Json) -> None:
-    """Remove unused meshes, accessors and buffer views from a document, and renumber the remaining ones.
-
-    Unused skins keep their joints, since programs such as Blender recognise bones by them.
-    """
+    """Remove unused meshes, accessors and views, and renumber others; unused skins keep joints, which mark bones."""
     unknown = sorted(name for name in collect_extensions(document) if not name.startswith(_PRUNABLE_PREFIXES))
     if unknown:
         warn(
@@ -346,10 +336,7 @@ _GROUP_MEMBERS = {"name", "matrix", "translation", "rotation", "scale"}
 
 
 def detach_node(document: Json, node: int, in_place: bool = False) -> int | None:
-    """Remove a node with a mesh from the tree, or only its transform if `in_place`; return its substitute, if any.
-
-    A new node substitutes a node that has children, a camera or a light, or is a joint.
-    """
+    """Remove a node with a mesh, or only its transform if `in_place`; return the node that takes its other contents."""
     entry = document["nodes"][node]
     removed = {key: entry.pop(key) for key in list(entry) if key not in _KEPT_MEMBERS}
     contents = {key: value for key, value in removed.items() if key not in _DEFORMATION_MEMBERS}
@@ -496,10 +483,7 @@ def write_gltf(
     sources: ArrayLike | None = None,
     rounding: RoundingMonitor | None = None,
 ) -> None:
-    """Write a glTF file, binary ``.glb`` or text ``.gltf``, without velocities; options as in `FORMATS`.
-
-    The original's other contents are kept by default. `sources` ``(T,)`` are the original's times in s at the frames.
-    """
+    """Write a glTF file without velocities; options as in `FORMATS`, `sources` ``(T,)`` in s."""
     rounding = rounding or RoundingMonitor(path, "glTF", header)
     origin = rounding.origin
 

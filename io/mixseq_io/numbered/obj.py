@@ -234,10 +234,7 @@ def _read_lines(file: Path, data: bytes, first: MeshFile | None) -> _Lines:
 
 
 def _parse_faces(file: Path, lines: _Lines) -> tuple[IntArray, IntArray]:
-    """Parse corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; the index -1 refers to the last element before the face.
-
-    Return corner counts ``(P,)`` of the faces and indices ``(sum of counts, 3)`` of the corners.
-    """
+    """Return the corner counts ``(P,)`` of faces, and the indices ``(C, 3)`` of corners ``v/vt/vn``."""
     counts: list[int] = []
     corners: list[tuple[int, int, int]] = []
     other_counts = lines.uv_and_normal_counts or [(0, 0)] * len(lines.faces)

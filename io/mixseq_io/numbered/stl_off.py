@@ -164,10 +164,7 @@ def parse_stl(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
 
 
 def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
-    """Weld corners ``(3 F, 3)`` in order of appearance; return vertices ``(3 F,)`` and first corners ``(V,)``.
-
-    Corners at the same place are welded, and those apart by rounding where the triangles around them leave a crack.
-    """
+    """Weld corners ``(3 F, 3)``, also across cracks by rounding; return vertices ``(3 F,)``, first corners ``(V,)``."""
     points, indices = np.unique(corners + 0.0, axis=0, return_inverse=True)  # + 0.0 turns -0 into 0
     triangles = indices.reshape(-1, 3)
     edges, uses = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0, return_counts=True)

@@ -204,10 +204,7 @@ def _encode(
     motion: Decodable | None,
     progress: Progress,
 ) -> _Encoding:
-    """Encode a sequence as textures, plain ones without `max_error`, and measure them.
-
-    The returned sequence is relative to the origin of the texels.
-    """
+    """Encode a sequence, relative to the origin of its texels, as textures, plain without `max_error`; measure them."""
     origin = choose_origin(sequence.points[0])
     if origin.any():
         sequence = sequence.with_points(sequence.points - origin)
