@@ -40,18 +40,14 @@ PER_VERTEX, OPAQUE_PER_VERTEX = "of vertices", "of vertices, opaque"
 
 @dataclass(frozen=True, kw_only=True)
 class Capabilities:
-    """Parts of a sequence that a format can store, which are shown as cells of the table of formats.
-
-    `colours` is a text if colours are stored per vertex instead of per corner. `materials` is "names" if only the names
-    of materials are stored. Writers warn of parts that their format cannot store.
-    """
+    """Parts of a sequence that a format can store, as cells of the table of formats; writers warn of others."""
 
     animation: str
     polygons: str = "any"
     points: str = SINGLE_PRECISION
     times: str = "any"
     uvs: bool = True
-    colours: bool | str = True
+    colours: bool | str = True  # a text if colours are stored per vertex instead of per corner
     hard_edges: bool = True
     face_sets: bool = True
     objects: bool = True

@@ -232,19 +232,16 @@ def snap_to_frames(times: Float, fps: float) -> Float:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneMesh:
-    """Mesh of a scene, whose polygons index the mesh's vertices; fields are those of `Surface` and `MeshObject`.
-
-    `vertices` select the mesh's V vertices in the sequence. A face set of all polygons is the mesh's material.
-    """
+    """Mesh of a scene, whose polygons index the mesh's vertices; fields are those of `Surface` and `MeshObject`."""
 
     name: str
     path: str
-    vertices: slice | Index
+    vertices: slice | Index  # V, in the sequence
     polygons: Polygons
     uvs: CornerValues | None = None
     colours: CornerValues | None = None
     hard_edges: IntArray | None = None
-    face_sets: tuple[FaceSet, ...] = ()
+    face_sets: tuple[FaceSet, ...] = ()  # one of all polygons is the mesh's material
     subdivision: str = "none"
 
     @property

@@ -183,14 +183,11 @@ def _with_ancestors(paths: Collection[str]) -> set[str]:
 
 @dataclass(frozen=True, eq=False)
 class MeshMatch:
-    """Mesh of the sequence, and the matching mesh of the archive, which gets its points.
-
-    `corners` ``(C,)`` index the sequence's corner of each stored corner; `transform` maps mesh space to the world.
-    """
+    """Mesh of the sequence, and the matching mesh of the archive, which gets its points."""
 
     scene_mesh: SceneMesh
     mesh: Mesh
-    corners: Index
+    corners: Index  # (C,) the sequence's corner of each stored corner
     transform: MeshTransform
 
     def replace_points(self, schema: Any, sampling: int, has_velocities: bool) -> WriteSamples:

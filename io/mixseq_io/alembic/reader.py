@@ -73,20 +73,16 @@ OVERLAY_KEY = "mixseq_laid_over"
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Unread mesh in an archive, with the schemas of its points and of the transforms above, the nearest first.
-
-    `is_hidden` and `has_animated_visibility` also apply if an ancestor of the mesh is hidden or changes visibility. The
-    file's path and size in bytes are used in checks and messages.
-    """
+    """Unread mesh in an archive, with the schemas of its points and of the transforms above, the nearest first."""
 
     file: Path
-    file_size: int
+    file_size: int  # in bytes
     node: Any
     scene_object: SceneObject
     schema: Any
     transforms: tuple[Any, ...]
-    is_hidden: bool
-    has_animated_visibility: bool
+    is_hidden: bool  # as the mesh or an ancestor is
+    has_animated_visibility: bool  # of the mesh or an ancestor
 
     @property
     def path(self) -> str:
@@ -366,18 +362,15 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
 
 @dataclass(frozen=True, eq=False)
 class _AnimatedMesh:
-    """Mesh with its samples and transforms at frame times ``(T,)`` in s, and the slice of its vertices in the sequence.
-
-    `is_mirrored` refers to the first frame; `overlay_transform` is for new points below moving transforms.
-    """
+    """Mesh with its samples and transforms at frame times ``(T,)`` in s."""
 
     mesh: Mesh
-    vertices: slice
-    is_mirrored: bool
+    vertices: slice  # in the sequence
+    is_mirrored: bool  # in the first frame
     times: Float
     samples: LocatedFrames
     transforms: Transforms
-    overlay_transform: MeshTransform | None = None
+    overlay_transform: MeshTransform | None = None  # of new points below moving transforms
 
     @property
     def vertex_count(self) -> int:

@@ -180,14 +180,10 @@ def choose_start(header: SequenceHeader, keep_start: bool = False) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SplitPrimitive:
-    """Triangles ``(F, 3)`` of one material on n split vertices, with attributes ``(n, k)`` by glTF name.
+    """Triangles ``(F, 3)`` of one material on n split vertices, with attributes ``(n, k)`` by glTF name."""
 
-    Split vertices are copies of the mesh vertices `vertex_ids` ``(n,)``, with the shared normals `normal_ids` ``(n,)``
-    (see `mixseq.mesh.measures.corner_normals`).
-    """
-
-    vertex_ids: IntArray
-    normal_ids: IntArray
+    vertex_ids: IntArray  # (n,) of the mesh
+    normal_ids: IntArray  # (n,) of the shared normals, see `mixseq.mesh.measures.corner_normals`
     attributes: Mapping[str, Single]
     triangles: NDArray[np.uint32]
     face_set: FaceSet | None

@@ -164,15 +164,12 @@ def split_triangles(corners: NDArray[np.int32], mode: int) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, eq=False)
 class Weld:
-    """Weld of a glTF mesh: `vertex_ids` ``(n,)`` hold the welded vertex of each split vertex, per primitive.
-
-    `representatives` ``(W,)`` index one split vertex of each welded vertex; `skipped` index primitives not read.
-    """
+    """Weld of the vertices of a glTF mesh."""
 
     primitives: tuple[Primitive, ...]
-    skipped: tuple[int, ...]
-    vertex_ids: tuple[NDArray[np.int32], ...]
-    representatives: IntArray
+    skipped: tuple[int, ...]  # indices of primitives that are not read
+    vertex_ids: tuple[NDArray[np.int32], ...]  # per primitive, the welded vertex (n,) of each split vertex
+    representatives: IntArray  # (W,) one split vertex of each welded vertex
 
     @property
     def vertex_count(self) -> int:

@@ -77,16 +77,13 @@ _REPLACED_ATTRIBUTES = ("POSITION", "NORMAL", "TANGENT", "JOINTS_", "WEIGHTS_", 
 
 @dataclass(frozen=True, eq=False)
 class MeshMatch:
-    """Mesh of the sequence, and the node of the matching mesh in the file.
-
-    `corners` ``(C,)`` index the sequence's corner of each file corner; if `mirrored`, file triangles are reversed.
-    """
+    """Mesh of the sequence, and the node of the matching mesh in the file."""
 
     scene_mesh: SceneMesh
     node: int
     weld: Weld
-    mirrored: bool
-    corners: Index
+    mirrored: bool  # whether triangles of the file are reversed
+    corners: Index  # (C,) the sequence's corner of each corner in the file
 
 
 def find_matches(scene: Scene, header: SequenceHeader) -> list[MeshMatch]:
