@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import mixseq
-from mixseq_io.verification import read_container
+from mixseq_io.model_files import read_container
 from tests.cli.conftest import Run, succeed
 from tests.cli.test_compress import rows
 

@@ -12,7 +12,7 @@ import pytest
 import mixseq
 from mixseq.cli.group import in_diagonals, length_text, parse_length
 from mixseq.errors import SettingsError
-from mixseq_io.verification import read_compressed
+from mixseq_io.model_files import read_compressed
 from tests.cli.conftest import Run
 
 
