@@ -28,7 +28,7 @@ from scipy.sparse.linalg import splu
 
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.rotations import rotvec_to_matrix
-from mixseq.operations.pose_solvers import PoseChange, PoseSolver, StillSolver
+from mixseq.operations.pose_solvers import HandleSolver, PoseChange, PoseSolver, StillSolver
 from mixseq.operations.sculpt import add_key_shape, weight_sites
 from mixseq.operations.sections import (
     breakpoints,
@@ -238,31 +238,29 @@ class DraggedPose:
         """Take handles at one time, whose positions will change, and the other arguments of `pose`."""
         kept = _kept_rows(model, keep)
         ((time, key),) = _sort_by_time(model, handles, kept, None).items()
-        is_still = len(model.times) == 1
-        solver: Any = StillSolver if is_still else PoseSolver
+        solver: type[HandleSolver[Any]] = StillSolver if len(model.times) == 1 else PoseSolver
         self._solver = solver(model, key.rows, DEFAULT_SOFTNESS, key.is_free)
-        self._time = () if is_still else (time,)
-        self._kept_targets = key.targets[len(key.targets) - len(kept) :]
+        self._time, self._kept_targets = time, key.targets[len(key.targets) - len(kept) :]
         self._pose = self._solver.unchanged()
-        before = self._solver.points(*self._time, self._pose)
+        before = self._solver.points(time, self._pose)
         self._basis = displacement_basis(model, key.rows, before) if exact else None
 
     def points(self, targets: Float) -> Float:
         """Return the points ``(V, 3)`` with handles at targets ``(n, 3)``."""
         targets = np.concatenate([targets, self._kept_targets])
-        self._pose = self._solver.solve(*self._time, targets, start=self._pose, rounds=1)
-        points = self._solver.points(*self._time, self._pose)
+        self._pose = self._solver.solve(self._time, targets, start=self._pose, rounds=1)
+        points = self._solver.points(self._time, self._pose)
         if self._basis is not None:
             points = points + self._basis @ (targets - self._solver.positions(points))
         return np.asarray(points)
 
     def moved_model(self) -> Model:
         """Return the model with the change of the last pose at all times, which moves all bodies."""
-        moved: Model = self._solver.moved_model(self._pose)
-        return moved
+        assert isinstance(self._solver, PoseSolver)  # stills have a single body
+        return self._solver.moved_model(self._pose)
 
 
-def _reach(solver: PoseSolver | StillSolver, time: float, points: Float, targets: Float, exact: bool) -> Float:
+def _reach(solver: HandleSolver[Any], time: float, points: Float, targets: Float, exact: bool) -> Float:
     """Return the points ``(V, 3)`` deformed so that handles are exact, if asked for; otherwise warn of misses."""
     misses = targets - solver.positions(points)
     if exact:
@@ -281,7 +279,8 @@ def _pose_still(model: Model, keys: dict[float, Key], solvers: Sequence[StillSol
     """Fit a model to a still at its time and to its poses with handles at targets."""
     poses = {float(model.times[0]): model(model.start)}
     for solver, (time, key) in zip(solvers, keys.items(), strict=True):
-        poses[time] = _reach(solver, time, solver.points(solver.solve(key.targets)), key.targets, exact)
+        points = solver.points(time, solver.solve(time, key.targets))
+        poses[time] = _reach(solver, time, points, key.targets, exact)
     times = np.array(sorted(poses))
     header = replace(model.header, times=times, provenance=as_edited(model.header.provenance))
     frames = MeshSequence.from_header(header, np.stack([poses[time] for time in times.tolist()]))

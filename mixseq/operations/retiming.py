@@ -202,7 +202,8 @@ def retime(model: Model, keys: FileOr[ArrayLike], smooth: bool = True) -> Model:
         _compose(model, curve, retiming, kink_sites, norm)
         for curve, norm in zip(model.curves, signal_norms(model), strict=True)
     )
-    return model.with_motion(time, placement, correction, model.header.with_times(frames))
+    header = model.header.with_times(frames)
+    return model.edited(header=header, time=time, placement=placement, correction=correction)
 
 
 def _compose(model: Model, curve: Curve, retiming: Retiming, kink_sites: Float, norm: DeviationNorm) -> Curve:

@@ -342,7 +342,7 @@ def map_times(model: Model, offset: float, scale: float = 1.0) -> Model:
     times = scale * model.times + offset
     time, placement, correction = (map_curve_times(curve, offset, scale) for curve in model.curves)
     header = model.header.with_times(times if scale > 0 else times[::-1])
-    return model.with_motion(time, placement, correction, header)
+    return model.edited(header=header, time=time, placement=placement, correction=correction)
 
 
 def join_models(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Model:
@@ -355,11 +355,11 @@ def join_models(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Mode
         reference = before.curve([before.end])[0]
         curve = align_quaternion_signs(model.space, model.placement, start, reference)
         placements.append(CurveSection(curve, start, end))
-    return first.with_motion(
-        join_curves([CurveSection(model.time, start, end) for model, start, end in sections], seams),
-        join_curves(placements, seams),
-        join_curves([CurveSection(model.correction, start, end) for model, start, end in sections], seams),
-        first.header.with_times(merge_frame_times(sections)),
+    return first.edited(
+        header=first.header.with_times(merge_frame_times(sections)),
+        time=join_curves([CurveSection(model.time, start, end) for model, start, end in sections], seams),
+        placement=join_curves(placements, seams),
+        correction=join_curves([CurveSection(model.correction, start, end) for model, start, end in sections], seams),
     )
 
 

@@ -122,7 +122,7 @@ def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | Non
         interpolate_adaptively(blend(curve(times)), path.times, SIGNAL_TOLERANCE, norm)
         for curve, norm in zip(model.curves, signal_norms(model), strict=True)
     )
-    return model.with_motion(time, placement, correction, header)
+    return model.edited(header=header, time=time, placement=placement, correction=correction)
 
 
 def cardinal_weights(positions: Float) -> Callable[[Float], Float]:

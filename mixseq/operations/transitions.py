@@ -311,9 +311,9 @@ def _blend_interval(
         sites = subdivide(sites_between(start, end, np.concatenate(breaks)), count)
         return Curve(sites, mean(one(sites), other(sites), weight(sites)))
 
-    return a.with_motion(
-        blend_curves(a.time, b.time, lerp),
-        blend_curves(a.placement, aligned, partial(blend_placements, a.space)),
-        blend_curves(a.correction, b.correction, lerp),
-        a.header.with_times(merge_frame_times([ModelSection(a, start, end)])),
+    return a.edited(
+        header=a.header.with_times(merge_frame_times([ModelSection(a, start, end)])),
+        time=blend_curves(a.time, b.time, lerp),
+        placement=blend_curves(a.placement, aligned, partial(blend_placements, a.space)),
+        correction=blend_curves(a.correction, b.correction, lerp),
     )

@@ -178,20 +178,6 @@ class Model(Decodable, PickledWithoutCaches):
         """The time, placement and correction curves."""
         return self.time, self.placement, self.correction
 
-    def with_motion(
-        self, time: Curve, placement: Curve, correction: Curve, header: SequenceHeader | None = None
-    ) -> Model:
-        """Return the model with another motion and the same shapes.
-
-        Parameters
-        ----------
-        time, placement, correction : Curve
-            Signals of the new motion.
-        header : SequenceHeader, optional
-            Header with the times of the new frames; by default the header of this model.
-        """
-        return self.edited(header=header or self.header, time=time, placement=placement, correction=correction)
-
     def edited(self, **changes: Any) -> Model:
         """Return the model with other fields, and mark it as edited: it is no longer within a bound of its source.
 

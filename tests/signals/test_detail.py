@@ -132,13 +132,13 @@ def test_another_motion_through_the_same_shapes() -> None:
         Curve(LONG.times[-1] - curve.times[::-1], curve.values[::-1]) for curve in model.curves
     )
     header = model.header.with_times(LONG.times)
-    moved = model.with_motion(time, placement, correction, header=header)
+    moved = model.edited(header=header, time=time, placement=placement, correction=correction)
     assert moved.space is model.space and moved.header.provenance is not None and moved.header.provenance.edited
     np.testing.assert_array_equal(moved.times, header.times)
     np.testing.assert_array_equal(moved.shapes, model.shapes)
     assert moved.curves == (time, placement, correction)
     np.testing.assert_allclose(moved.sample().points, LONG.points[::-1], atol=1e-8)
-    np.testing.assert_array_equal(model.with_motion(*model.curves).times, model.times)
+    np.testing.assert_array_equal(model.edited(time=model.time).times, model.times)
 
 
 def test_key_shapes_of_exact_models_are_rounded() -> None:
@@ -168,7 +168,7 @@ def share_of_deformation(model: Model) -> float:
     """How much of the deformation is left if the placement stays what it is in the first frame, from 0 to 1."""
     ends = model.placement.times[[0, -1]]
     held = Curve(ends, np.repeat(model.placement(ends[:1]), 2, axis=0))
-    frozen = model.with_motion(model.time, held, model.correction).sample().points
+    frozen = model.edited(placement=held).sample().points
     whole, left = deformation(model.sample().points), deformation(frozen)
     return float(1.0 - np.linalg.norm(whole - left) / np.linalg.norm(whole))
 
