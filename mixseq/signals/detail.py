@@ -40,8 +40,7 @@ from mixseq.signals.pose import Modes, principal_modes
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.mixed.construction import faces_without_area
 from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, insert_midpoints
-from mixseq.spaces.temporal_pieces import Timing
+from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, Timing, insert_midpoints
 from mixseq.types import Float, FloatArray, Index, evenly_spaced
 
 DeviationNorm = Callable[[Float], Float]

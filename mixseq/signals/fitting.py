@@ -55,8 +55,7 @@ from mixseq.signals.model import Model
 from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make_space, space_settings
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
-from mixseq.spaces.temporal import FrameWeights
-from mixseq.spaces.temporal_pieces import Timing
+from mixseq.spaces.temporal import FrameWeights, Timing
 from mixseq.types import Float, FloatArray, Int32, evenly_spaced
 
 MIN_VALIDATED_FRAMES = 4  # least number of frames of a sequence for cross-validation

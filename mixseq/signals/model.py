@@ -33,7 +33,7 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.signals.pose import Plane, PoseMap, fit_plane
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.temporal_pieces import Timing
+from mixseq.spaces.temporal import Timing
 from mixseq.types import Float, IntArray
 
 if TYPE_CHECKING:
