@@ -22,8 +22,7 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.box_tree import BoxTree, closest, crossing_pairs, triangle_corners, unit_normals
 from mixseq.types import Float, FloatArray, Index, IntArray
 
-CONTACT_TOLERANCE = 1e-12
-"""Largest depth or length of an intersection that counts as contact, in diagonals of the mesh's bounding box."""
+CONTACT_TOLERANCE = 1e-12  # largest depth or length of an intersection that counts as contact, in diagonals
 
 
 def self_intersections(points: FloatArray, faces: IntArray) -> Index:

@@ -51,19 +51,12 @@ from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index
 
-DEFAULT_SOFTNESS = 5e-3
-"""Default softness: distance from a target whose energy is that of one standard deviation of the pose, in diagonals."""
-
-MIN_HANDLES_OF_FREE_BODY = 3
-"""Number of handles, the kept vertices included, from which on bodies move: three points determine a rigid motion."""
-
+DEFAULT_SOFTNESS = 5e-3  # distance from a target whose energy is that of one standard deviation, in diagonals
+MIN_HANDLES_OF_FREE_BODY = 3  # handles from which on bodies move: three points determine a rigid motion
 SIGNAL_TOLERANCE = 1e-4  # largest error of signals between sites, in diagonals
 MAX_SILENT_MISS = 0.01  # distance of a handle from its target above which a warning is given, in diagonals
 RESIDUAL_RADIUS = 0.05  # radius l of the displacement at exact handles, in diagonals
-
-
-MIN_EXTENT_RATIO = 1e-6
-"""Extent of a part along a principal axis below which it has no moment, as a fraction of the largest."""
+MIN_EXTENT_RATIO = 1e-6  # extent of a part along an axis below which it has no moment, as a fraction of the largest
 
 
 class Key(NamedTuple):

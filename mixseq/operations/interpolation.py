@@ -94,8 +94,7 @@ def segment(
     return segmentation.segment(sequence.points, topology, method, parts, settings)
 
 
-WEIGHT_SUM_TOLERANCE = 1e-6
-"""Largest accepted deviation of the sum of weights from one, sufficient for single precision."""
+WEIGHT_SUM_TOLERANCE = 1e-6  # largest accepted deviation of the sum of weights from one, as in single precision
 
 
 @dataclass(frozen=True, eq=False)

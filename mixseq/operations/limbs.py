@@ -190,10 +190,7 @@ JointPoseEdit = Callable[[Float, Float], Float]
 """Function from times ``(N,)`` and joint poses ``(N, 6)`` to edited joint poses ``(N, 6)``."""
 
 SIGNAL_TOLERANCE = 1e-5  # largest error of signals between sites, in diagonals
-
-MIN_MODE_SIZE_RATIO = 1e-3
-"""Smallest size of the shape modes kept for a held part and its joints, as a fraction of the largest mode."""
-
+MIN_MODE_SIZE_RATIO = 1e-3  # smallest shape mode kept for a held part and its joints, as a fraction of the largest
 MAX_TURN_STEP_RADIANS = 1.0  # largest rotation added to a part between two sites, small enough to resolve whole turns
 DEFAULT_FADE_SECONDS = 0.2  # default duration over which a part comes to rest, and moves off again
 

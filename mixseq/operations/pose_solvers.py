@@ -59,19 +59,11 @@ from mixseq.spaces.mixed.mixed_space import MixedBlocks
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float, Index
 
-MIN_DEVIATION_RATIO = 1e-6
-"""Standard deviation below which a direction of pose space is a rounding error, as a fraction of the largest."""
-
+MIN_DEVIATION_RATIO = 1e-6  # standard deviation of a direction that is a rounding error, relative to the largest
 JOINT_DEVIATION = 0.5  # rotation of a joint of a still mesh whose energy is 1, in radians
-
-MAX_STEPS, STEP_TOLERANCE, ENERGY_TOLERANCE = 30, 1e-4, 1e-5
-"""Largest number of Levenberg-Marquardt steps; they stop at a step in standard deviations, or a relative decrease."""
-
-START_DAMPING, MAX_DAMPING = 1e-3, 1e8
-"""First damping of steps, and the damping at which no step is left that lowers the energy."""
-
-MAX_PROJECTION_ROUNDS, PROJECTION_TOLERANCE = 3, 1e-5
-"""Largest number of rounds for handles at joints, and the change of their offsets at which they stop, in diagonals."""
+MAX_STEPS, STEP_TOLERANCE, ENERGY_TOLERANCE = 30, 1e-4, 1e-5  # steps, standard deviations, relative decrease
+START_DAMPING, MAX_DAMPING = 1e-3, 1e8  # first damping of steps, and the one at which none lowers the energy
+MAX_PROJECTION_ROUNDS, PROJECTION_TOLERANCE = 3, 1e-5  # rounds for joints, and change of offsets in diagonals
 
 State = TypeVar("State")
 

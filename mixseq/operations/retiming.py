@@ -43,12 +43,8 @@ from mixseq.signals.detail import DeviationNorm
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
-SIGNAL_TOLERANCE = 2e-6
-"""Largest error of signals between sites, in diagonals; vertices in joints may have many times larger errors."""
-
-KINK_SITE_COUNT = 10
-"""Number of sites on each side of a kink; their distances double up to half the distance to the next key."""
-
+SIGNAL_TOLERANCE = 2e-6  # largest error of signals between sites, in diagonals; vertices in joints may have larger ones
+KINK_SITE_COUNT = 10  # sites on each side of a kink, whose distances double up to half the distance to the next key
 NEGLIGIBLE_TIME = 1e-100  # absolute value in seconds below which source times are rounded to zero
 
 

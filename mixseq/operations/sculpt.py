@@ -111,9 +111,7 @@ def _edges(polygons: Polygons) -> set[tuple[int, int]]:
 
 Where = Literal["everywhere", "window", "similar"]
 
-DEFAULT_RADIUS = 0.25
-"""Default radius of similarity, as a fraction of the shape-space distance to the least similar shape."""
-
+DEFAULT_RADIUS = 0.25  # default radius of similarity, as a fraction of the distance to the least similar shape
 WEIGHT_TOLERANCE = 1e-3  # largest error of the sampled weight between sites
 
 

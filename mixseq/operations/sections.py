@@ -210,10 +210,7 @@ def signal_norms(model: Model) -> tuple[DeviationNorm, DeviationNorm, DeviationN
 
 
 OFFSET_KNOT_RATIOS = np.array([1.0, 2.0, 3.0]) / 3.0  # ends of the three cubics of an offset, as fractions of the fade
-
-KNOT_SNAP_RATIO = 0.02
-"""Distance, as a fraction of the fade, within which window knots snap to a curve's knot, as close knots lose digits."""
-
+KNOT_SNAP_RATIO = 0.02  # distance, in fades, within which window knots snap to knots, as close knots lose digits
 MIN_FADE_RATIO = 1e-6  # shortest allowed fade, as a fraction of the longest, so that knots are distinct in float64
 
 

@@ -40,10 +40,7 @@ from mixseq.signals.model import Model
 from mixseq.types import Float
 
 WINDOW_SAMPLES = 5  # number of poses that are compared in a window
-
-MAX_BLENDED_VERTICES = 1 << 21
-"""Number of vertices of all blends whose strain is measured, those of least distance first; takes about a second."""
-
+MAX_BLENDED_VERTICES = 1 << 21  # vertices of all blends whose strain is measured, nearest first, in about a second
 MIN_EDGE_LENGTH = 1e-6  # length in diagonals below which edges of blends are not measured
 
 

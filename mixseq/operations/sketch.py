@@ -63,10 +63,7 @@ from mixseq.types import Float, Index
 
 TIP_RADIUS_RATIO = 0.25  # radius of the rounded tip of a cone, as a fraction of the distance to the nearest frame
 MIN_SPACING_RATIO = 1e-6  # distance up to which two frames count as one position, as a fraction of the embedding's size
-
-MAX_DISTANCE_RATIO = 0.5
-"""Distance of a curve from the nearest frame above which a warning is given, as a fraction of the embedding's size."""
-
+MAX_DISTANCE_RATIO = 0.5  # distance from the nearest frame that is warned of, as a fraction of the embedding's size
 SIGNAL_TOLERANCE = 1e-4  # largest error of signals between sites, in diagonals
 
 
@@ -214,12 +211,8 @@ def _warn_if_far(path: Curve, positions: Float) -> None:
 DEFAULT_REACH_RATIO = 1 / 8  # default reach of a drag, as a fraction of the duration
 MIN_REACH_FRAMES = 2  # shortest default reach, in frames
 MAX_DRAG_FRAMES = 64  # largest number of frames used to interpolate a dragged pose
-
-MAX_SLOPE_RATIO = 2.0
-"""Largest ratio of pose-space distance to plane distance between two of these frames, as a multiple of the mean."""
-
-DROP_DISTANCE_RATIO = 1e-3
-"""Distance within which a dragged point snaps to a frame, as a fraction of the largest distance in the plane."""
+MAX_SLOPE_RATIO = 2.0  # largest ratio of distances in pose space and in the plane, as a multiple of the mean
+DROP_DISTANCE_RATIO = 1e-3  # distance within which a point snaps to a frame, as a fraction of the largest
 
 
 @public

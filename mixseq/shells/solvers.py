@@ -36,13 +36,9 @@ from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.shells.kernels import add_weighted_sides
 from mixseq.types import Float, Index, Mask
 
-MIN_ROWS_FOR_THREADS = 30_000
-"""Number of rows below which a matrix is factored by one thread, since several matrices are factored at once."""
-
+MIN_ROWS_FOR_THREADS = 30_000  # rows below which one thread factors a matrix, as several are factored at once
 _DEFAULT_THREADS = 4  # default number of threads of rslab
-
-_UNREACHABLE_WORK = 1 << 62
-"""Amount of work above which rslab solves on its global pool, which a forked process cannot replace."""
+_UNREACHABLE_WORK = 1 << 62  # work above which rslab solves on its global pool, which a fork cannot replace
 
 
 class Factor:

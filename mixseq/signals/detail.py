@@ -98,15 +98,9 @@ def least_squares_curve(times: Float, values: Float, inner: Float) -> Curve:
 
 OPERATOR_VERTICES = 256  # number of vertices from which the temporal operator is selected
 FRAMES_IN_BODY_AXES = 1024  # number of frames whose samples are brought into body axes together
-
-MOTION_VERTICES = 64
-"""Number of vertices in world axes by which breaks of speed and slopes beside held frames are selected."""
-
-MIN_SCORE_SCALE = 1e-200
-"""Least scale, in diagonals, of the scores of a mode; their rounding step is proportional to the scale."""
-
-CORRECTION_STEP = 2.0**-24
-"""Rounding step, in diagonals and radians, of the corrections of exact models, which are zero at frames."""
+MOTION_VERTICES = 64  # vertices by which breaks of speed, and slopes beside held frames, are selected
+MIN_SCORE_SCALE = 1e-200  # least scale, in diagonals, of scores of a mode, to which their step is proportional
+CORRECTION_STEP = 2.0**-24  # rounding step, in diagonals and radians, of corrections of exact models
 
 
 class InterpolatedPoses(NamedTuple):
@@ -369,14 +363,9 @@ def _inner_knots(knots: int | ArrayLike, times: Float) -> Float:
     return inner
 
 
-VISUALLY_LOSSLESS_TOLERANCE = 5e-4
-"""Default tolerance in diagonals: half a pixel where the mesh fills a picture of 1000 pixels."""
-
+VISUALLY_LOSSLESS_TOLERANCE = 5e-4  # in diagonals: half a pixel where the mesh fills 1000 pixels
 EXACT_TOLERANCE = 1e-8  # tolerance of exact models in diagonals, which allows for rounding errors
-
-EXACT_ROUNDING_STEP = 2.0**-38
-"""Rounding step of the signals of exact models in diagonals; frames are off by about 1e-11."""
-
+EXACT_ROUNDING_STEP = 2.0**-38  # rounding step of exact models in diagonals; frames are off by about 1e-11
 TOLERANCE_TO_STEP_RATIO = 64  # initial ratio of the tolerance to the rounding step of signals
 SUFFICIENT_ERROR_RATIO = 0.6  # ratio of error to tolerance above which a model is accepted without further coarsening
 MAX_TRIAL_MODELS = 7  # largest number of models in the search before the finest model is tried

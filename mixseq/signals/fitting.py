@@ -128,9 +128,7 @@ def _rms_errors(elements: tuple[Int32, Int32], points: Iterable[Float], expected
     return np.sqrt(squares / len(expected))
 
 
-FIT_STAGES = 2 + SPACE_STAGES
-"""Number of progress stages, without the search for a tolerance: reading frames, making the space, encoding."""
-
+FIT_STAGES = 2 + SPACE_STAGES  # progress stages without a search: reading frames, making the space, encoding
 _SHELL_ACCURACY_RATIO = 10.0  # ratio of the tolerance of frames to the accuracy of fits to lengths and angles
 
 

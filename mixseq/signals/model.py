@@ -41,8 +41,7 @@ if TYPE_CHECKING:
     from mixseq.spaces.mixed.mixed_space import MixedSpace
 
 
-BLENDED_NUMBERS = 1 << 17
-"""Number of coordinates of key shapes that stay in the cache of a core while they are blended for several frames."""
+BLENDED_NUMBERS = 1 << 17  # coordinates of key shapes that stay in a core's cache while several frames are blended
 
 
 @dataclass(frozen=True, eq=False)

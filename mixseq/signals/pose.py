@@ -245,11 +245,8 @@ def _significant_modes(sizes: Float) -> Index:
     return np.flatnonzero(is_significant)[np.argsort(-sizes[is_significant], kind="stable")]
 
 
-NEGLIGIBLE_SPREAD = 1e-12
-"""Ratio to the largest spread of frames along an axis below which a spread is a rounding error."""
-
-MIN_STEP_SPREAD = 1e-4
-"""Least spread of frames along an axis with a step in pose space, in diagonals and relative to the largest."""
+NEGLIGIBLE_SPREAD = 1e-12  # ratio to the largest spread along an axis below which a spread is a rounding error
+MIN_STEP_SPREAD = 1e-4  # least spread along an axis with a step, in diagonals and relative to the largest
 
 
 class Plane(NamedTuple):

@@ -55,9 +55,7 @@ from mixseq.spaces.temporal import Poses
 from mixseq.types import Float, IntArray
 
 AXIS_ITERATIONS = 100  # number of iterations by which body axes and part axes of two bodies are matched
-
-MIN_INDEPENDENCE = 1e-9
-"""Least distance of the weights of a key pose from the span of the others, relative to the largest weights."""
+MIN_INDEPENDENCE = 1e-9  # least distance of a key pose from the span of the others, relative to the largest weights
 
 
 @public

@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from mixseq.shells.fitting import ShellReport
 
 
-ANGLE_WEIGHT = 0.3
-"""Weight of a dihedral angle in radians, relative to the length of the hinge's edge, in the metrics of all spaces."""
-
+ANGLE_WEIGHT = 0.3  # weight of a dihedral angle in radians, relative to its edge's length, in all metrics
 MIN_GYRATION_RADIUS = 1e-3  # least radius of gyration of a part in metrics, in diagonals
 
 

@@ -229,16 +229,10 @@ def _kriging_weights(knots: Float, times: Float, length_scale: float) -> Float:
     return np.asarray(np.linalg.solve(system, right.T).T[:, :count])
 
 
-SPEED_RATIO = 6.0
-"""Ratio of the velocities, or durations, of neighbouring intervals above which motion is not smooth across a frame."""
-
-SHARED_ACCELERATION = 0.25
-"""Similarity of the accelerations at a frame and beside it above which the motion is a smooth turn."""
-
+SPEED_RATIO = 6.0  # ratio of velocities, or durations, beside a frame above which motion is not smooth across it
+SHARED_ACCELERATION = 0.25  # similarity of accelerations at a frame and beside it of a smooth turn
 SLOPE_FRAMES = 12  # number of frames by which the slope beside held frames is selected
-
-HOLD_FRACTION = 0.999
-"""Fraction of an interval after which `hold` shows the next frame: before its time, so that rounding cannot miss it."""
+HOLD_FRACTION = 0.999  # fraction of an interval after which `hold` shows the next frame, early enough for rounding
 
 
 class Slope(NamedTuple):
