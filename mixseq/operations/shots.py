@@ -29,7 +29,7 @@ from scipy.spatial.distance import cdist
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.measures import edge_lengths, element_blocks
 from mixseq.mesh.topology import Topology
-from mixseq.operations.timeline import cut, shift
+from mixseq.operations.timeline import cut
 from mixseq.operations.transitions import match_spaces
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import FileOr, public
@@ -104,7 +104,7 @@ def fit_shots(shots: Sequence[MeshSequence], **settings: Any) -> tuple[Model, ..
     sections = []
     for shot, start in zip(shots, starts, strict=False):
         duration = shot.times[-1] - shot.times[0]
-        section = shift(cut(model, start, start + duration), shot.times[0] - start)
+        section = cut(model, start, start + duration, at=shot.times[0])
         sections.append(replace(section, header=replace(section.header, name=shot.name, fps=shot.fps)))
     return tuple(sections)
 

@@ -41,12 +41,13 @@ from mixseq.operations.timeline import cut, ground_drift, ground_position, trans
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, Seconds
-from mixseq.sequence.sequence import load_frames
+from mixseq.sequence.sequence import FrameStore, MeshSequence, load_frames
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import Detail, build_model, encode_sequence
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.temporal import Timing
 from mixseq.types import Float
 
 
@@ -64,10 +65,7 @@ def into(model: Model, space: ShapeSpace) -> Model:
     space : ShapeSpace
         A space of the same mesh, in the same units.
     """
-    if model.space is space:
-        return model
-    with one_blas_thread():
-        return build_model(encode_sequence(model.sample(), space, timings=[model.timing]), Detail())
+    return model if model.space is space else _encode(model.sample(), space, model.timing)
 
 
 def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
@@ -118,10 +116,13 @@ def _encode_like(model: Model, first: Model) -> Model:
             f"{a.name!r} has {a.vertex_count} vertices, {b.name!r} {b.vertex_count}, or other faces; two models of one "
             "mesh are needed"
         )
-    frames = with_mesh_of(model.sample(), a, numbering.vertices)
+    frames = load_frames(with_mesh_of(model.sample(), a, numbering.vertices))
+    return _encode(frames, first.space, model.timing)
+
+
+def _encode(frames: FrameStore | MeshSequence, space: ShapeSpace, timing: Timing) -> Model:
     with one_blas_thread():
-        encoded = encode_sequence(load_frames(frames), first.space, timings=[model.timing])
-        return build_model(encoded, Detail())
+        return build_model(encode_sequence(frames, space, timings=[timing]), Detail())
 
 
 SITES_PER_BLENDED_KNOT = 8  # number of sites of an approximating spline per knot of the curve that the spline replaces
@@ -152,8 +153,7 @@ def concatenate(a: FileOr[Model], b: FileOr[Model], fade: Seconds | None = None,
     SettingsError
         If a model has no duration, the fade is out of range, or `travel` is set and the space has no placement.
     """
-    a = cast("Model", a)
-    b = cast("Model", b)
+    a, b = cast("Model", a), cast("Model", b)
     a, b = match_spaces(a, b)
     start, seam = snap_section(a, a.start, a.end)
     first, last = snap_section(b, b.start, b.end)
@@ -197,8 +197,7 @@ def transition(
     SettingsError
         If a time is out of range, or `travel` is set and the space has no placement.
     """
-    a = cast("Model", a)
-    b = cast("Model", b)
+    a, b = cast("Model", a), cast("Model", b)
     if enter is not None:
         b = cut(b, enter, b.end)
     if not (np.isfinite(duration) and duration > 0):
@@ -250,8 +249,7 @@ def blend(a: FileOr[Model], b: FileOr[Model], weight: float | Curve) -> Model:
     SettingsError
         If the models share no time, or the weight is not finite or does not cover the shared time.
     """
-    a = cast("Model", a)
-    b = cast("Model", b)
+    a, b = cast("Model", a), cast("Model", b)
     a, b = match_spaces(a, b)
     start, end = max(a.start, b.start), min(a.end, b.end)
     if not start < end:

@@ -238,19 +238,9 @@ class MixedSpace(ShapeSpace):
     def _block_shapes(self) -> tuple[tuple[int, ...], ...]:
         """Array shapes of the blocks of a vector, in order."""
         parts, relations = len(self.decomposition.parts), len(self.articulation.pairs)
-        bodies = self.articulation.body_count
-        return (
-            (len(self.edge_ids),),
-            (len(self.hinge_ids),),
-            (self.vertex_count, 3),
-            (parts, 4),
-            (parts, 3),
-            (relations, 4),
-            (relations, 3),
-            (bodies, 4),
-            (bodies, 3),
-            (6 * parts,),
-        )
+        joints = (len(self.edge_ids),), (len(self.hinge_ids),)
+        poses = [(count, size) for count in (parts, relations, self.articulation.body_count) for size in (4, 3)]
+        return *joints, (self.vertex_count, 3), *poses, (6 * parts,)
 
     @cached_property
     def block_sizes(self) -> tuple[int, ...]:
