@@ -9,10 +9,8 @@ The weights are the cardinal functions of interpolation by a constant and radial
 
 .. math:: a + \sum_j b_j \sqrt{|y - y_j|^2 + (\varepsilon d_j)^2}, \qquad \sum_j b_j = 0,
 
-with the distance :math:`d_j` from frame j to its nearest neighbour. These multiquadrics are cones with rounded tips.
-Cones (:math:`\varepsilon = 0`) have almost no negative weights, but a kink at every frame. Rounder functions, such as
-thin plates, are slightly more accurate where the embedding determines the motion. They overshoot badly where paths
-cross or frames nearly meet. As :math:`\sum b_j = 0`, weights stay bounded for distant y.
+with the distance :math:`d_j` from frame j to its nearest neighbour. These multiquadrics are cones with rounded tips,
+which have few negative weights. As :math:`\sum b_j = 0`, weights stay bounded for distant y.
 
 A drag moves a point of the time curve, and the motion around it follows. Pose and correction at a position,
 :math:`c^*(y)`, are interpolated by the same weights from the dragged point and from frames spread over the plane. A

@@ -322,7 +322,13 @@ class Model(Decodable, PickledWithoutCaches):
 
     def check_plane(self, plane: Plane) -> Plane:
         """Return a plane; raise `SettingsError` if it does not fit the pose and shape signals of this model."""
-        return plane.check(len(self.shapes), self.time.dim)
+        if (len(plane.origin), len(plane.directions)) != (len(self.shapes), self.time.dim):
+            raise SettingsError(
+                f"the plane is of {len(plane.origin)} key shapes and {len(plane.directions)} coordinates of pose "
+                f"space, the model has {len(self.shapes)} and {self.time.dim}; give the plane of a model with the "
+                "same pose and shape signals"
+            )
+        return plane
 
     @cached_property
     def plane(self) -> Plane:

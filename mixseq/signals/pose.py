@@ -256,16 +256,6 @@ class Plane(NamedTuple):
     axes: Float  # (K, 2) ``(weights - origin) @ axes`` are coordinates in the plane; zero without a spread
     directions: Float  # (k, 2) smallest steps in pose space that move by one along an axis; zero without a spread
 
-    def check(self, shapes: int, coordinates: int) -> Plane:
-        """Return the plane; raise `SettingsError` for other numbers of key shapes or pose coordinates."""
-        if (len(self.origin), len(self.directions)) != (shapes, coordinates):
-            raise SettingsError(
-                f"the plane is of {len(self.origin)} key shapes and {len(self.directions)} coordinates of pose "
-                f"space, the model has {shapes} and {coordinates}; give the plane of a model with the "
-                "same pose and shape signals"
-            )
-        return self
-
 
 def fit_plane(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plane:
     """Fit the main plane of blended shapes: points ``(T, k)``; key shapes ``(K, S)``; metric ``(S,)``."""

@@ -70,11 +70,9 @@ def _solve_frames(factor: Factor, right_sides: list[RealOrComplex]) -> RealOrCom
 
 MIN_HEIGHT_RATIO = 1e-12  # least height to side of triangles; the frame of lower ones is the unit quaternion
 
+# Ratio of doubled area to squared sides, at most 0.29, below which a triangle's lengths and angles have less weight, as
+# it may turn over between frames. Chosen by the accelerations of fox_run.
 SLIVER_AREA_RATIO = 0.06
-"""Ratio of doubled area to squared sides, at most 0.29, below which a triangle's lengths and angles have less weight.
-
-Slimmer skinned triangles may turn over between frames. Chosen by the accelerations of fox_run.
-"""
 
 
 @compiled
