@@ -118,8 +118,7 @@ class Limb:
         centre = pivot - part @ from_part
         relative = centres[:, self.part_mask] - centres[:, [self.part]]
         centres[:, self.part_mask] = rotate_vectors(quat_to_matrix(turn)[:, None], relative) + centre[:, None]
-        targets = np.concatenate([array.reshape(len(times), -1) for array in (rotations, centres)], axis=1)
-        corrections = self.space.pose_corrections(blend_key_poses(model, times), targets)
+        corrections = self.space.pose_corrections(blend_key_poses(model, times), Poses(rotations, centres))
         turns, reference = (
             array.reshape(len(array), 2, -1, 3)[:, 0] for array in (corrections, model.correction(times[:1]))
         )

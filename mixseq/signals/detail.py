@@ -109,7 +109,7 @@ class InterpolatedPoses(NamedTuple):
     times: Float  # (n,) frames and midpoints, in seconds, and twice the breaks
     weights: tuple[FrameWeights, ...]  # weights of the frames at these times, of every group
     quarter_times: Float  # (m,) frames and points at quarters of the intervals, in seconds, and twice the breaks
-    part_poses: Float  # (m, ...) part poses in body axes, at the quarter points
+    part_poses: Poses  # (m, p) part poses in body axes, at the quarter points
     placement: Float  # (m, P) placements at the quarter points
 
 
@@ -154,8 +154,8 @@ class EncodedSequence:
         weights = tuple(operator.weights_at(times) for operator in self.operators)
         return InterpolatedPoses(times, weights, quarter_times, *self.interpolate_poses(quarter_times))
 
-    def interpolate_poses(self, times: Float) -> tuple[Float, Float]:
-        """Interpolate target part poses ``(N, ...)`` and placements ``(N, P)`` at times ``(N,)``."""
+    def interpolate_poses(self, times: Float) -> tuple[Poses, Float]:
+        """Interpolate target part poses ``(N, p)`` and placements ``(N, P)`` at times ``(N,)``."""
         poses = [self.space.interpolate_poses(each, self.poses, self.placement, times) for each in self.operators]
         return self.space.merge_poses(poses, self.group_of_vertex) if len(poses) > 1 else poses[0]
 
@@ -229,7 +229,7 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
         round_key_shapes(shapes, encoded.space, detail.step)
     key_poses = shapes[:, encoded.pose_columns]
 
-    def corrections(time: Curve, times: Float, targets: Float) -> Float:
+    def corrections(time: Curve, times: Float, targets: Poses) -> Float:
         if len(encoded.header.times) <= 2:  # no inner frame to judge interpolation in time by: poses are blended
             return np.zeros((len(times), encoded.space.correction_dim))
         poses = np.empty((len(times), key_poses.shape[1]))
@@ -264,8 +264,8 @@ def find_rounding_step(shapes: Float, space: ShapeSpace) -> float:
     return float(2.0 ** lowest[digits > 0].min(initial=0.0))
 
 
-Corrections = Callable[[Curve, Float, Float], Float]
-"""Function from a time signal, times ``(N,)`` and target part poses ``(N, ...)`` to corrections ``(N, C)``."""
+Corrections = Callable[[Curve, Float, Poses], Float]
+"""Function from a time signal, times ``(N,)`` and target part poses ``(N, p)`` to corrections ``(N, C)``."""
 
 
 def _fit_curves_with_knots(

@@ -58,12 +58,6 @@ def poses_of(model: Model, times: Float) -> tuple[Float, Float]:
     return quat_to_matrix(found.rotations), found.centres
 
 
-def targets_of(targets: Float) -> tuple[Float, Float]:
-    turns, centres = np.split(targets, [4 * targets.shape[1] // 7], axis=1)
-    count = len(targets)
-    return quat_to_matrix(turns.reshape(count, -1, 4)), centres.reshape(count, -1, 3)
-
-
 def without_correction(model: Model) -> Model:
     return Model(model.header, model.space, model.time, model.pose, model.shapes, model.placement)
 
@@ -74,7 +68,7 @@ def test_parts_go_where_they_are_predicted_to_be() -> None:
     np.testing.assert_array_equal(between.times, insert_midpoints(LONG.times))
     np.testing.assert_array_equal(between.quarter_times, insert_midpoints(between.times))
     np.testing.assert_allclose(model.placement(between.quarter_times), between.placement, atol=1e-12)
-    expected = targets_of(between.part_poses)
+    expected = quat_to_matrix(between.part_poses.rotations), between.part_poses.centres
     for found, wanted in zip(poses_of(model, between.quarter_times), expected, strict=True):
         np.testing.assert_allclose(found, wanted, atol=1e-9)
 

@@ -466,12 +466,12 @@ class MixedSpace(ShapeSpace):
 
     def interpolate_poses(
         self, operator: TemporalOperator, poses: Float, placements: Float, times: Float
-    ) -> tuple[Float, Float]:
+    ) -> tuple[Poses, Float]:
         """Implement `ShapeSpace.interpolate_poses`: in root axes, by relations and in world axes."""
         bodies, parts = self.pose_interpolation(operator, poses, placements).at(times)
         first = self.unpack_placements(placements[:1]).rotations[0]
         bodies = bodies._replace(rotations=align_quat_signs(bodies.rotations, first))
-        return flatten_blocks(parts), self.pack_placements(bodies)
+        return parts, self.pack_placements(bodies)
 
     def group_coordinates(self, group_of_vertex: Index) -> Index:
         """Implement `ShapeSpace.group_coordinates`; a body's axes, and so the poses in them, change with its parts."""
@@ -484,10 +484,10 @@ class MixedSpace(ShapeSpace):
         poses = zip((parts, parts, relations, relations), (4, 3, 4, 3), strict=True)
         return np.concatenate([*vertices, *(np.repeat(groups, size) for groups, size in poses)])
 
-    def merge_poses(self, poses: Sequence[tuple[Float, Float]], group_of_vertex: Index) -> tuple[Float, Float]:
+    def merge_poses(self, poses: Sequence[tuple[Poses, Float]], group_of_vertex: Index) -> tuple[Poses, Float]:
         """Implement `ShapeSpace.merge_poses`: parts of all groups in world axes, then bodies that fit them."""
         groups, parts = self._group_of_part(group_of_vertex), np.arange(len(self.decomposition.parts))
-        in_body_axes = [self._unpack_targets(targets) for targets, _ in poses]
+        in_body_axes = [targets for targets, _ in poses]
         placed = [self.unpack_placements(placements) for _, placements in poses]
         world = [self.articulation.to_world_axes(*each) for each in zip(in_body_axes, placed, strict=True)]
         merged = Poses(*(np.stack(blocks)[groups, :, parts].swapaxes(0, 1) for blocks in zip(*world, strict=True)))
@@ -495,16 +495,10 @@ class MixedSpace(ShapeSpace):
         bodies = bodies._replace(rotations=align_quat_signs(bodies.rotations, placed[0].rotations[0]))
         new_parts = self.articulation.to_body_axes(merged, bodies)
         new_parts = new_parts._replace(rotations=align_quat_signs(new_parts.rotations, in_body_axes[0].rotations[0]))
-        return flatten_blocks(new_parts), self.pack_placements(bodies)
+        return new_parts, self.pack_placements(bodies)
 
     def _group_of_part(self, group_of_vertex: Index) -> Index:
         return group_of_vertex[[vertex_ids[0] for vertex_ids in self.decomposition.parts]]
-
-    def _unpack_targets(self, targets: Float) -> Poses:
-        """Return part poses ``(N, p)`` in body axes from targets of `interpolate_poses`."""
-        count = len(self.decomposition.parts)
-        rotations, centres = np.split(targets, [4 * count], axis=1)
-        return Poses(rotations.reshape(-1, count, 4), centres.reshape(-1, count, 3))
 
     def pose_interpolation(self, operator: TemporalOperator, poses: Float, placements: Float) -> PoseInterpolation:
         """Return the interpolation of part poses ``(T, pose_dim)`` and placements ``(T, P)`` of the frames."""
@@ -532,10 +526,9 @@ class MixedSpace(ShapeSpace):
         signs = (parts, 4), (np.ones_like(parts), 3), (relations, 4), (np.ones_like(relations), 3)
         return np.concatenate([np.repeat(values, size) for values, size in signs])
 
-    def pose_corrections(self, poses: Float, targets: Float) -> Float:
+    def pose_corrections(self, poses: Float, targets: Poses) -> Float:
         """Implement `ShapeSpace.pose_corrections`."""
-        blended = self.articulation.reconcile(self.split_poses(poses))
-        return self.articulation.pose_corrections(blended, self._unpack_targets(targets))
+        return self.articulation.pose_corrections(self.articulation.reconcile(self.split_poses(poses)), targets)
 
     def correct_poses(self, poses: Float, corrections: Float) -> Poses:
         """Return part poses ``(T, p)`` in body axes, from pose columns and corrections ``(T, ...)``."""

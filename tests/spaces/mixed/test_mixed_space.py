@@ -653,12 +653,11 @@ def test_predictions_pass_through_the_frames(name: str) -> None:
         vectors[:, size:end],
         insert_midpoints(times),
     )
-    assert len(targets) == len(placed) == 2 * len(points) - 1
+    assert len(targets.centres) == len(placed) == 2 * len(points) - 1
     np.testing.assert_allclose(placed[::2], vectors[:, size:end], atol=1e-12)
     blocks = space.split(vectors)
-    turns, centres = np.split(targets[::2], [4 * len(space.decomposition.parts)], axis=1)
-    np.testing.assert_allclose(centres, blocks.part_centres.reshape(len(points), -1), atol=1e-12)
-    cosines = np.einsum("tpi,tpi->tp", turns.reshape(blocks.part_rotations.shape), blocks.part_rotations)
+    np.testing.assert_allclose(targets.centres[::2], blocks.part_centres, atol=1e-12)
+    cosines = np.einsum("tpi,tpi->tp", targets.rotations[::2], blocks.part_rotations)
     np.testing.assert_allclose(np.abs(cosines), 1.0, atol=1e-12)
     assert np.isfinite(space.decode(at(space, vectors, TemporalOperator(times, 4.0), insert_midpoints(times)))).all()
 
@@ -694,8 +693,7 @@ def test_corrected_poses_are_those_that_are_wanted(seed: int) -> None:
         parts = len(space.decomposition.parts)
         turns = normalise_quat(np.array([1.0, 0, 0, 0]) + 0.4 * rng.normal(size=(4, parts, 4)))
         centres = rng.normal(size=(4, parts, 3))
-        targets = np.concatenate([turns.reshape(4, -1), centres.reshape(4, -1)], axis=1)
-        corrections = space.pose_corrections(poses, targets)
+        corrections = space.pose_corrections(poses, Poses(turns, centres))
         assert corrections.shape == (4, space.correction_dim)
         found = space.correct_poses(poses, corrections)
         np.testing.assert_allclose(quat_to_matrix(found.rotations), quat_to_matrix(turns), atol=1e-12)
@@ -718,9 +716,7 @@ def test_frames_need_no_corrections(name: str) -> None:
     space = space_of(name)
     blocks = space.split(space.encode(sequence_of(name).points))
     poses = space.encode(sequence_of(name).points)[:, space.shape_dim - space.pose_dim : space.shape_dim]
-    targets = np.concatenate(
-        [blocks.part_rotations.reshape(len(poses), -1), blocks.part_centres.reshape(len(poses), -1)], axis=1
-    )
+    targets = Poses(blocks.part_rotations, blocks.part_centres)
     np.testing.assert_allclose(space.pose_corrections(poses, targets), 0.0, atol=1e-9)
 
 
