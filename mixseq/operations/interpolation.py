@@ -33,14 +33,7 @@ from mixseq.shells.fitting import ShellReport
 from mixseq.signals.detail import encode_sequence
 from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.making import (
-    SPACE_STAGES,
-    MixedSettings,
-    SpaceOptions,
-    make_space,
-    segment_faces,
-    space_settings,
-)
+from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make_space, segment_faces, space_settings
 from mixseq.types import Float
 
 

@@ -276,8 +276,7 @@ def hold(
 
     signal = interpolate_adaptively(held_signal, sites, SIGNAL_TOLERANCE, shape_norm(extended))
     return extended.edited(
-        time=splice(extended, extended.time, signal),
-        correction=splice(extended, model.correction, correction),
+        time=splice(extended, extended.time, signal), correction=splice(extended, model.correction, correction)
     )
 
 

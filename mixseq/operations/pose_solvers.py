@@ -334,10 +334,8 @@ class StillSolver(HandleSolver[JointRotations]):
 
     def motions(self, pose: JointRotations) -> tuple[Float, Float]:
         """Return the motions ``x -> R x + t`` of parts: rotations ``(p, 3, 3)`` and shifts ``(p, 3)`` in diagonals."""
-        rotations, shifts = (
-            pose.rotations.copy(),
-            pose.shifts + self.pivots - rotate_vectors(pose.rotations, self.pivots),
-        )
+        rotations = pose.rotations.copy()
+        shifts = pose.shifts + self.pivots - rotate_vectors(pose.rotations, self.pivots)
         for part in self._order[self.is_root.sum() :]:
             parent = self.tree.parents[part]
             shifts[part] = rotations[parent] @ shifts[part] + shifts[parent]
@@ -370,11 +368,8 @@ class StillSolver(HandleSolver[JointRotations]):
             by_handle, own = result[: len(targets)], result[len(targets) :]
             by_handle[:, :, :count] = -_cross_matrices(sums - loads[..., None] * pivots).swapaxes(1, 2) / self.softness
             by_handle[:, :, count:] = np.einsum("nb,ac->nabc", loads[:, self.is_root], np.eye(3)) / self.softness
-            axes = np.append(
-                self._weights[:, None, None] * self._parent_rotations(pose),
-                np.tile(np.eye(3), (root_count, 1, 1)),
-                axis=0,
-            )
+            turn_axes = self._weights[:, None, None] * self._parent_rotations(pose)
+            axes = np.append(turn_axes, np.tile(np.eye(3), (root_count, 1, 1)), axis=0)
             own[np.arange(len(axes)), :, np.arange(len(axes))] = axes.swapaxes(1, 2)
             return result.reshape(-1, 3 * (count + root_count))[:, self._is_variable]
 

@@ -27,13 +27,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator, PPoly
 
 from mixseq.errors import FormatError, SettingsError
-from mixseq.operations.sections import (
-    breakpoints,
-    interpolate_adaptively,
-    merge_sites,
-    signal_norms,
-    strictly_between,
-)
+from mixseq.operations.sections import breakpoints, interpolate_adaptively, merge_sites, signal_norms, strictly_between
 from mixseq.runtime.public import FileOr, public
 from mixseq.runtime.text_files import read_text
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_frame
@@ -298,10 +292,7 @@ class RetimingKeys(NamedTuple):
 
 @public
 def read_retiming(
-    path: str | os.PathLike[str],
-    smooth: bool = True,
-    output_fps: float | None = None,
-    source_fps: float | None = None,
+    path: str | os.PathLike[str], smooth: bool = True, output_fps: float | None = None, source_fps: float | None = None
 ) -> Retiming:
     """Read a retiming from a text file.
 

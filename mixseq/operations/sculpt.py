@@ -155,12 +155,12 @@ def sculpt(
     time = snap_time(model, time)
     difference = encode_edit(model, time, points)
     if where == "window":
-        return add_key_shape(model, difference, _window_weight(model, time, start, end))
-    if where == "similar":
-        return add_key_shape(
-            model, difference, _similarity_weight(model, time, DEFAULT_RADIUS if radius is None else radius)
-        )
-    return add_key_shape(model, difference, Curve(model.time.times, np.ones((len(model.time.times), 1))))
+        weight = _window_weight(model, time, start, end)
+    elif where == "similar":
+        weight = _similarity_weight(model, time, DEFAULT_RADIUS if radius is None else radius)
+    else:
+        weight = Curve(model.time.times, np.ones((len(model.time.times), 1)))
+    return add_key_shape(model, difference, weight)
 
 
 def _check_settings(where: Where, start: float | None, end: float | None, radius: float | None) -> None:
@@ -184,8 +184,7 @@ def add_key_shape(model: Model, difference: Float, weight: Curve) -> Model:
     return model.edited(
         time=Curve(sites, np.concatenate([model.time(sites), weight.values], axis=1)),
         pose=PoseMap(
-            np.append(model.pose.offset, 0.0),
-            np.concatenate([np.pad(model.pose.matrix, ((0, 0), (0, 1))), row]),
+            np.append(model.pose.offset, 0.0), np.concatenate([np.pad(model.pose.matrix, ((0, 0), (0, 1))), row])
         ),
         shapes=np.concatenate([model.shapes, model.shapes[:1] + difference]),
     )

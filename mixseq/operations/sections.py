@@ -109,12 +109,8 @@ def merge_sites(edges: Float, knots: Float, breaks: ArrayLike = ()) -> Float:
     inner = inner[(np.abs(inner[:, None] - edges) > MIN_KNOT_SPACING_RATIO * span).all(axis=1)]
     if len(inner):
         splines = pairwise([edges[0], *inner, edges[-1]])
-        return np.concatenate(
-            [
-                merge_sites(np.array([a, *strictly_between(edges, a, b), b]), strictly_between(knots, a, b))
-                for a, b in splines
-            ]
-        )
+        pairs = ((np.array([a, *strictly_between(edges, a, b), b]), strictly_between(knots, a, b)) for a, b in splines)
+        return np.concatenate([merge_sites(*pair) for pair in pairs])
     knots = np.unique(knots)
     min_distance = MIN_KNOT_SPACING_RATIO * span / (len(edges) + len(knots))
     after = np.clip(np.searchsorted(edges, knots), 1, len(edges) - 1)

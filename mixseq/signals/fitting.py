@@ -325,11 +325,7 @@ def _rounding_share(frames: FrameStore, tolerance: float) -> float:
 
 
 def _check_options(
-    exact: bool,
-    tolerance: float | None,
-    rank: int | None,
-    knots: int | ArrayLike | None,
-    between: BetweenName,
+    exact: bool, tolerance: float | None, rank: int | None, knots: int | ArrayLike | None, between: BetweenName
 ) -> None:
     if exact and not (tolerance is None and rank is None and knots is None):
         raise SettingsError("exact models keep everything; leave out tolerance, rank and knots, or exact")

@@ -85,11 +85,7 @@ def key_poses(model: Model) -> MeshSequence:
 
 @public
 def with_body(
-    model: Model,
-    keys: FileOr[Frames],
-    name: str,
-    parts: ArrayLike | None = None,
-    turn: ArrayLike | None = None,
+    model: Model, keys: FileOr[Frames], name: str, parts: ArrayLike | None = None, turn: ArrayLike | None = None
 ) -> Model:
     """Give a model another body, which moves by the same time and pose signals with its own key shapes.
 

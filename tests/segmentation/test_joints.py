@@ -24,19 +24,7 @@ from mixseq.segmentation.joints import (
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.segmentation.motion import segment_by_motion
 from mixseq.types import Index
-from tests.meshes import (
-    SEQUENCES,
-    Mesh,
-    bar,
-    bending,
-    grid,
-    joined,
-    rotation,
-    seeds,
-    tetrahedron,
-    topology_of,
-    tube,
-)
+from tests.meshes import SEQUENCES, Mesh, bar, bending, grid, joined, rotation, seeds, tetrahedron, topology_of, tube
 from tests.spaces.mixed.made import MESHES
 
 

@@ -114,10 +114,7 @@ def test_predicted_poses_pass_through_the_frames(name: SpaceName) -> None:
     """And need no corrections there."""
     space, times = make_space(LONG, name), LONG.times
     vectors, size = space.encode(LONG.points), space.shape_dim
-    poses, placements = (
-        vectors[:, size - space.pose_dim : size],
-        vectors[:, size : size + space.placement_dim],
-    )
+    poses, placements = (vectors[:, size - space.pose_dim : size], vectors[:, size : size + space.placement_dim])
     targets, placed = space.interpolate_poses(TemporalOperator(times, 2.0), poses, placements, insert_midpoints(times))
     assert placed.shape == (2 * len(times) - 1, space.placement_dim)
     np.testing.assert_allclose(placed[::2], placements, atol=1e-12)

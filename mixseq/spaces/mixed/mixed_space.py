@@ -50,12 +50,7 @@ from mixseq.spaces.base import ANGLE_WEIGHT, ShapeSpace, flatten_blocks, radii_o
 from mixseq.spaces.mixed import posing_kernels as kernels
 from mixseq.spaces.mixed.articulation import Articulation, PartPoses, Steadiness, find_articulation
 from mixseq.spaces.mixed.assembly import Assembly, FreeFrame
-from mixseq.spaces.mixed.joint_projection import (
-    JointProjection,
-    RealOrComplex,
-    from_complex_step,
-    to_complex_step,
-)
+from mixseq.spaces.mixed.joint_projection import JointProjection, RealOrComplex, from_complex_step, to_complex_step
 from mixseq.spaces.mixed.pose_interpolation import PoseInterpolation
 from mixseq.spaces.pieces import register_parts
 from mixseq.spaces.temporal import Poses, TemporalOperator
@@ -352,14 +347,12 @@ class MixedSpace(ShapeSpace):
         bodies = self.articulation.fit_bodies(world)
         parts = self.articulation.add_relations(self.articulation.to_body_axes(world, bodies))
         parts = parts._replace(
-            rotations=_with_positive_w(parts.rotations),
-            relation_rotations=_with_positive_w(parts.relation_rotations),
+            rotations=_with_positive_w(parts.rotations), relation_rotations=_with_positive_w(parts.relation_rotations)
         )
         vectors[:, columns[3].start : columns[8].stop] = flatten_blocks((*parts, *bodies))
         for vector, *frame in zip(vectors, *parts, *bodies, strict=True):
-            motions = self.articulation.part_motions(
-                PartPoses(*frame[:4]), (frame[4], frame[5]), np.zeros(self.correction_dim)
-            )
+            poses_of_bodies, correction = (frame[4], frame[5]), np.zeros(self.correction_dim)
+            motions = self.articulation.part_motions(PartPoses(*frame[:4]), poses_of_bodies, correction)
             vertices = vector[columns[2]].reshape(-1, 3)
             vertices[:] = self._unskin(motions, vertices)
         return vectors

@@ -175,9 +175,8 @@ def _split_vertices(topology: Topology, decomposition: Decomposition) -> tuple[I
     Vertices near vertices with faces of several parts are fitted; in small meshes, all vertices with faces are fitted.
     """
     labels = decomposition.part_of_face[:, None]
-    part = np.full(
-        topology.vertex_count, len(decomposition.parts) - 1, dtype=np.int32
-    )  # unused vertices are the last part
+    # Unused vertices are the last part.
+    part = np.full(topology.vertex_count, len(decomposition.parts) - 1, dtype=np.int32)
     part[topology.faces] = labels
     mask = np.zeros(topology.vertex_count, dtype=bool)
     if topology.vertex_count <= MAX_FULLY_FITTED_VERTICES:

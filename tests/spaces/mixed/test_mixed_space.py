@@ -15,13 +15,7 @@ from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
 from mixseq.mesh.rigid import kabsch, transform_points
-from mixseq.mesh.rotations import (
-    matrix_to_quat,
-    normalise_quat,
-    quat_multiply,
-    quat_to_matrix,
-    rotate_vectors,
-)
+from mixseq.mesh.rotations import matrix_to_quat, normalise_quat, quat_multiply, quat_to_matrix, rotate_vectors
 from mixseq.segmentation.joints import decompose
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.spaces.base import ANGLE_WEIGHT, VertexSpace
@@ -555,11 +549,7 @@ def test_blends_of_half_turns_are_finite() -> None:
 
 def test_changes_by_hand_arrive() -> None:
     """What `shape_difference` says, added to the shape, moves the vertices that were moved, and no others."""
-    for space, atol in (
-        (space_of("bar"), 1e-12),
-        (steered("bar", 0.5), 2e-3),
-        (space_of("bar", "free"), 2e-2),
-    ):
+    for space, atol in ((space_of("bar"), 1e-12), (steered("bar", 0.5), 2e-3), (space_of("bar", "free"), 2e-2)):
         vectors = space.encode(sequence_of("bar").points)
         vector = vectors[2] if space.placement == "free" else vectors[[1, 3]].mean(axis=0)
         before = space.decode(vector[None])[0]
@@ -599,10 +589,7 @@ def test_velocities_are_derivatives_of_decoded_points(name: str, seed: int, scal
 @pytest.mark.parametrize("steps", [0, 10])
 def test_velocities_in_the_free_placement_and_after_steps(steps: int) -> None:
     free = space_of("bar", "free")
-    for space in (
-        replace(free, projection=replace(free.projection, steps=steps)),
-        steered("bar", 1.0, steps),
-    ):
+    for space in (replace(free, projection=replace(free.projection, steps=steps)), steered("bar", 1.0, steps)):
         vectors = space.encode(sequence_of("bar").points)
         rate = (vectors[2] - vectors[1])[None]
         vector = vectors[1] + 0.4 * rate
