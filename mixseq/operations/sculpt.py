@@ -50,13 +50,6 @@ MIN_DISPLACEMENT = 1e-3  # displacement above which a vertex counts as moved, in
 MAX_MOVED_RATIO = 0.9  # fraction of moved vertices above which an edit causes a warning
 
 
-def encode_edit(model: Model, time: float, points: ArrayLike | MeshSequence) -> Float:
-    """Return the key shape difference ``(S,)`` of edited points ``(V, 3)`` at a time."""
-    edited, original = check_edited_points(points, model.header), model(time)
-    _warn_of_large_edit(original, edited, time)
-    return model.space.shape_difference(model.curve([time])[0], original, edited)
-
-
 def check_edited_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> Float:
     """Validate an edited frame of the mesh and return its points ``(V, 3)``."""
     if isinstance(points, MeshSequence):
@@ -96,7 +89,7 @@ def _warn_of_large_edit(original: Float, edited: Float, time: float) -> None:
             f"{moved_count:,} of {len(edited):,} vertices moved, by up to {distances.max():.2g} diagonals; is the mesh "
             f"the frame at {time:g} s, in the axes and units of the model?",
             MixseqWarning,
-            stacklevel=5,
+            stacklevel=4,
         )
 
 
@@ -153,7 +146,9 @@ def sculpt(
     points = cast("ArrayLike | MeshSequence", points)
     _check_settings(where, start, end, radius)
     time = snap_time(model, time)
-    difference = encode_edit(model, time, points)
+    edited, original = check_edited_points(points, model.header), model(time)
+    _warn_of_large_edit(original, edited, time)
+    difference = model.space.shape_difference(model.curve([time])[0], original, edited)
     if where == "window":
         weight = _window_weight(model, time, start, end)
     elif where == "similar":

@@ -174,7 +174,10 @@ def _distinct_frames(model: Model, positions: Float) -> Index:
         representatives[frame] = frame if first is None else first
         if first is None:
             distinct.append(frame)
-    hidden_mask = _frame_distances(model, representatives) > SIGNAL_TOLERANCE
+    points, placements = model.time(model.times), model.placement(model.times)
+    placement_distances = placement_norm(model)(placements - placements[representatives])
+    distances = np.maximum(shape_norm(model)(points - points[representatives]), placement_distances)
+    hidden_mask = distances > SIGNAL_TOLERANCE
     if hidden_mask.any():
         warnings.warn(
             f"{np.count_nonzero(hidden_mask)} frames share their position in the embedding with an earlier frame that "
@@ -183,13 +186,6 @@ def _distinct_frames(model: Model, positions: Float) -> Index:
             stacklevel=4,
         )
     return np.array(distinct, dtype=np.int64)
-
-
-def _frame_distances(model: Model, others: Index) -> Float:
-    """Return distances ``(T,)`` in shape and placement of frames from the frames `others` ``(T,)``, in diagonals."""
-    points, placements = model.time(model.times), model.placement(model.times)
-    shape_distances = shape_norm(model)(points - points[others])
-    return np.maximum(shape_distances, placement_norm(model)(placements - placements[others]))
 
 
 def _warn_if_far(path: Curve, positions: Float) -> None:

@@ -76,7 +76,8 @@ def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
     as pose space. Further bodies of the first model stay if it has all key shapes.
     """
     second = _encode_like(second, first)
-    if _same_shapes(first, second):
+    arrays = ((model.shapes, model.pose.offset, model.pose.matrix) for model in (first, second))
+    if all(a is b or np.array_equal(a, b) for a, b in zip(*arrays, strict=True)):
         return first, replace(second, pose=first.pose, shapes=first.shapes, bodies=first.bodies)
     if first.bodies:
         raise SettingsError(
@@ -98,11 +99,6 @@ def _key_weight_signal(model: Model, start: int, count: int) -> Curve:
     weights = np.zeros((len(model.time.times), count))
     weights[:, start : start + len(model.shapes)] = model.pose.weights(model.time.values)
     return Curve(model.time.times, weights[:, 1:])
-
-
-def _same_shapes(first: Model, second: Model) -> bool:
-    arrays = ((model.shapes, model.pose.offset, model.pose.matrix) for model in (first, second))
-    return all(a is b or np.array_equal(a, b) for a, b in zip(*arrays, strict=True))
 
 
 def _encode_like(model: Model, first: Model) -> Model:
