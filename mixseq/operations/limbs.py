@@ -45,6 +45,7 @@ from mixseq.mesh.rotations import (
 )
 from mixseq.operations.filters import check_gain
 from mixseq.operations.sections import (
+    add_key_shapes,
     blend_key_poses,
     correction_norm,
     fade_window,
@@ -60,7 +61,6 @@ from mixseq.sequence.frame_rates import Seconds
 from mixseq.signals.bodies import Body
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.signals.pose import PoseMap
 from mixseq.spaces.mixed.mixed_space import MixedSpace, as_mixed
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float, Mask
@@ -315,7 +315,6 @@ def _add_limb_modes(model: Model, limb: Limb) -> tuple[Model, Callable[[Float], 
     """Add pose coordinates for the part and its joints only; also return a map from time-signal steps to them."""
     weights, metric = limb.joint_weights() + limb.part_weights(), model.space.shape_weights
     columns = np.flatnonzero(weights * metric)
-    dim, keys = model.pose.matrix.shape
     jacobian = model.pose.matrix @ (model.shapes[:, columns] - model.shapes[0, columns])
     jacobian = jacobian * (weights * metric)[columns]
     frames = model.time(model.times)
@@ -332,13 +331,5 @@ def _add_limb_modes(model: Model, limb: Limb) -> tuple[Model, Callable[[Float], 
             body_weights = (follower[1].joint_weights() + follower[1].part_weights()) * (body.space.shape_weights > 0)
             added += np.linalg.pinv(to_modes) @ (model.pose.matrix @ (body.shapes - body.shapes[0])) * body_weights
         bodies.append(replace(body, shapes=np.concatenate([body.shapes, added])))
-    matrix = np.zeros((dim + rank, keys + rank))
-    matrix[:dim, :keys] = model.pose.matrix
-    matrix[dim:, 0], matrix[dim:, keys:] = -1.0, np.eye(rank)
-    extended = model.edited(
-        time=Curve(model.time.times, np.pad(model.time.values, ((0, 0), (0, rank)))),
-        pose=PoseMap(np.pad(model.pose.offset, (0, rank)), matrix),
-        shapes=np.concatenate([model.shapes, shapes]),
-        bodies=tuple(bodies),
-    )
-    return extended, lambda steps: np.asarray(steps @ to_modes)
+    time = Curve(model.time.times, np.pad(model.time.values, ((0, 0), (0, rank))))
+    return add_key_shapes(model, shapes, time, bodies=tuple(bodies)), lambda steps: np.asarray(steps @ to_modes)

@@ -29,6 +29,7 @@ from mixseq.compression.numbering import match_vertices
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.operations.sections import (
+    add_key_shapes,
     breakpoints,
     fade_window,
     interpolate_adaptively,
@@ -43,7 +44,6 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.signals.pose import PoseMap
 from mixseq.types import Float
 
 MIN_DISPLACEMENT = 1e-3  # displacement above which a vertex counts as moved, in diagonals
@@ -173,16 +173,8 @@ def _check_settings(where: Where, start: float | None, end: float | None, radius
 
 def add_key_shape(model: Model, difference: Float, weight: Curve) -> Model:
     """Add a key shape with a difference ``(S,)`` and a weight curve; its sites include those of the time signal."""
-    row = np.zeros((1, len(model.shapes) + 1))
-    row[0, 0], row[0, -1] = -1.0, 1.0
-    sites = weight.times
-    return model.edited(
-        time=Curve(sites, np.concatenate([model.time(sites), weight.values], axis=1)),
-        pose=PoseMap(
-            np.append(model.pose.offset, 0.0), np.concatenate([np.pad(model.pose.matrix, ((0, 0), (0, 1))), row])
-        ),
-        shapes=np.concatenate([model.shapes, model.shapes[:1] + difference]),
-    )
+    time = Curve(weight.times, np.concatenate([model.time(weight.times), weight.values], axis=1))
+    return add_key_shapes(model, model.shapes[:1] + difference, time)
 
 
 def _window_weight(model: Model, time: float, start: float | None, end: float | None) -> Curve:

@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -399,6 +399,15 @@ def _shape_signs(space: ShapeSpace, shapes: Float, sections: Sequence[ModelSecti
         before_sign = signs[number, space.shape_dim - space.pose_dim :]
         signs[number + 1, space.shape_dim - space.pose_dim :] = space.quaternion_signs(poses, before_sign * reference)
     return signs
+
+
+def add_key_shapes(model: Model, shapes: Float, time: Curve, **changes: Any) -> Model:
+    """Add key shapes ``(n, S)``, whose weights are the last n coordinates of a new time signal."""
+    (dim, keys), count = model.pose.matrix.shape, len(shapes)
+    matrix = np.pad(model.pose.matrix, ((0, count), (0, count)))
+    matrix[dim:, 0], matrix[dim:, keys:] = -1.0, np.eye(count)
+    pose = PoseMap(np.pad(model.pose.offset, (0, count)), matrix)
+    return model.edited(time=time, pose=pose, shapes=np.concatenate([model.shapes, shapes]), **changes)
 
 
 def blend_key_poses(model: Model, times: ArrayLike) -> Float:
