@@ -312,7 +312,7 @@ def read_basis(
                     graph = build_part_graph(part, vertices[part], labels, faces)
                 coder = SignalCoder(graph, coordinates, models)
             for _ in range(coordinates * (vectors.stop - vectors.start)):
-                signals[part].append(coder.read_ahead(reader))
+                signals[part].append(coder.read(reader))
             if vectors.stop < ranks[part]:
                 coders[part] = coder
             del coder

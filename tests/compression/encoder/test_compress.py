@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 
 import mixseq
 import mixseq.errors
-from mixseq.compression.bitstream import signal_coder, spatial_basis
+from mixseq.compression.bitstream import spatial_basis
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
 from mixseq.compression.bitstream.signal_graph import mesh_graph
@@ -342,7 +342,6 @@ def test_bytes_are_the_same_in_a_process_with_another_number_of_threads() -> Non
 def test_bytes_are_the_same_however_much_is_done_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     expected = digest_here()
     monkeypatch.setenv("MIXSEQ_THREADS", "3")
-    monkeypatch.setattr(signal_coder, "_MIN_NUMBERS_TO_QUEUE", 1)
     assert digest(bar(sides=14, rings=25, frames=9)) == expected
 
 
