@@ -18,7 +18,7 @@ The same compiled loop writes and reads numbers. A second loop reconstructs valu
 number depend on numbers only.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``); how encoders round is free. All
-decisions use integers, except the sums of `predictor_kernels.predict`, which are rounded.
+decisions use integers, except the sums of `predictor.predict`, which are rounded.
 """
 
 from __future__ import annotations
@@ -46,8 +46,7 @@ from mixseq.compression.bitstream.arithmetic import (
     split_checksum,
     store_state,
 )
-from mixseq.compression.bitstream.predictor import Predictor
-from mixseq.compression.bitstream.predictor_kernels import UNITS_PER_STEP, predict
+from mixseq.compression.bitstream.predictor import UNITS_PER_STEP, Predictor, predict
 from mixseq.compression.bitstream.signal_graph import SignalGraph
 from mixseq.errors import FormatError
 from mixseq.runtime.jit import compiled, force_inlined

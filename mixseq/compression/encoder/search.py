@@ -33,10 +33,11 @@ from mixseq.compression.bitstream.signal_graph import (
 from mixseq.compression.bitstream.spatial_basis import BasisKind
 from mixseq.compression.encoder.components import (
     PrincipalComponents,
+    initial_parts,
+    refine_parts,
     shape_components,
     trajectory_components,
 )
-from mixseq.compression.encoder.parts import initial_parts, refine_parts
 from mixseq.compression.encoder.trial import Candidate, Trial, add_residuals, squared_error, try_step
 from mixseq.errors import SizeError
 from mixseq.runtime.low_memory import return_freed_memory

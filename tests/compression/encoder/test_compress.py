@@ -27,9 +27,9 @@ from mixseq.compression.bitstream.compressed_sequence import CompressedSequence,
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.bitstream.spatial_basis import read_labels, split_parts, write_labels
+from mixseq.compression.encoder import components, trial
 from mixseq.compression.encoder import compress as compressing
-from mixseq.compression.encoder import parts, trial
-from mixseq.compression.encoder.parts import initial_parts, merge_parts
+from mixseq.compression.encoder.components import initial_parts, merge_parts
 from mixseq.compression.encoder.search import TARGET_TOLERANCE, _error_at_size
 from mixseq.errors import FormatError, MixseqWarning, SettingsError, SizeError
 from mixseq.runtime.parallel import thread_count
@@ -346,7 +346,7 @@ def test_bytes_are_the_same_however_much_is_done_at_once(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize(
-    ("module", "name"), [(parts, "_code_lengths"), (trial, "_round_part"), (spatial_basis, "build_part_graph")]
+    ("module", "name"), [(components, "_code_lengths"), (trial, "_round_part"), (spatial_basis, "build_part_graph")]
 )
 def test_more_than_two_cores_take_no_more_memory(
     module: ModuleType, name: str, monkeypatch: pytest.MonkeyPatch
