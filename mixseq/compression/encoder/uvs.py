@@ -16,9 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.compression.bitstream.connectivity import Corners, next_corner, previous_corner
-from mixseq.compression.bitstream.corner_values import CodedUVs, code_uvs, from_grid
-from mixseq.compression.bitstream.uv_seams import next_image
+from mixseq.compression.bitstream.corner_values import CodedUVs, code_uvs, from_grid, next_image
+from mixseq.compression.bitstream.corners import Corners, next_corner, previous_corner
 from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues

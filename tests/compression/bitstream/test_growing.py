@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.compression.bitstream.connectivity import (
+from mixseq.compression.bitstream.corners import (
     corners_on_nodes,
     growing_order,
     next_corner,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from mixseq.compression.bitstream.corner_values import MAX_COORDINATE, code_uvs, decode_uvs, from_grid, to_grid
-from mixseq.compression.bitstream.uv_seams import MAX_SEARCHED_NODES
+from mixseq.compression.bitstream.corners import MAX_SEARCHED_NODES
 from mixseq.compression.encoder.uvs import encode_uvs
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
