@@ -50,8 +50,7 @@ from mixseq.types import Float, Index
 MIN_RELATIVE_GAIN = 3e-3
 """Smallest mean decrease of the error by a round, relative to the error; constants here were chosen empirically."""
 
-MAX_TREE_ERROR_RATIO = 1.1
-"""Largest root mean square error of bones in a tree, relative to the error of free bones."""
+MAX_TREE_ERROR_RATIO = 1.1  # largest root mean square error of bones in a tree, relative to the error of free bones
 
 _GAIN_ROUNDS = 3  # number of rounds over which the decrease of the error is averaged
 _ROUNDING_ERROR = 1e-9  # root mean square error that counts as rounding, in diagonals
@@ -171,8 +170,7 @@ def _order_by_separation(binding: Binding, motions: Float, joints: Joints) -> In
     return np.asarray(bones[np.argsort(-costs, kind="stable")])
 
 
-ROUGH_FIT_ROUNDS = 4
-"""Number of rounds of a rough fit, which takes a twentieth of the time of a full fit."""
+ROUGH_FIT_ROUNDS = 4  # number of rounds of a rough fit, which takes a twentieth of the time of a full fit
 
 
 @dataclass(frozen=True, eq=False)

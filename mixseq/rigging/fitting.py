@@ -128,8 +128,7 @@ def _prevent_collapse(skin: Skin, rotations: Float) -> Float:
     return np.where(determinants[:, None] < _MIN_ROTATION_DETERMINANT, single, skin.weights)
 
 
-MAX_BONES = 128
-"""Largest number of bones in a search for an error; constants of this module were chosen empirically."""
+MAX_BONES = 128  # largest number of bones in a search for an error; constants of this module were chosen empirically
 
 _FIRST_BONE_COUNT = 8
 _COUNT_PRECISION_DIVISOR = 10  # ratio of the number of bones to its tolerance

@@ -43,8 +43,7 @@ from numpy.typing import NDArray
 from mixseq.runtime.jit import force_inlined
 from mixseq.types import Index, IntArray
 
-CHECKSUM_SIZE = 4
-"""Bytes of the CRC-32 at the end of a stream, lowest byte first. Frozen: breaks old files."""
+CHECKSUM_SIZE = 4  # bytes of the CRC-32 at the end of a stream, lowest byte first; frozen
 
 
 def checksum_of(numbers: IntArray, initial: int = 0) -> int:
@@ -66,17 +65,10 @@ def split_checksum(data: bytes) -> tuple[bytes, int]:
     return data[:-CHECKSUM_SIZE], int.from_bytes(data[-CHECKSUM_SIZE:], "little")
 
 
-PROBABILITY_SCALE = 1 << 16
-"""Integer that represents the probability 1. Frozen: breaks old files."""
-
-EVEN_PROBABILITY = PROBABILITY_SCALE // 2
-"""Probability of bits without a model. Frozen: breaks old files."""
-
-_MAX_INTERVAL_END = (1 << 32) - 1
-"""Largest end of an interval. Frozen: breaks old files."""
-
-PADDING_BYTES = 4
-"""Zero bytes that may be read beyond the end of the stream. Frozen: breaks old files."""
+PROBABILITY_SCALE = 1 << 16  # integer that represents the probability 1; frozen
+EVEN_PROBABILITY = PROBABILITY_SCALE // 2  # probability of bits without a model; frozen
+_MAX_INTERVAL_END = (1 << 32) - 1  # largest end of an interval; frozen
+PADDING_BYTES = 4  # zero bytes that may be read beyond the end of the stream; frozen
 
 
 class BitStream(NamedTuple):
@@ -194,17 +186,10 @@ def _compiled_bit_length(number: int) -> Callable[[int], int]:
     return bit_length
 
 
-_MAX_LOGIT = 2047
-"""Largest magnitude of x, in units of 2^-8: about 8, a probability of 1 in 3000. Frozen: breaks old files."""
-
-_MAX_FREQUENCY_COUNT = 255
-"""Largest count in the running mean of a frequency. Frozen: breaks old files."""
-
-_LEARNING_RATE = 48
-"""Learning rate of weights, in 1 / 4096 of x's and p's units. Frozen: breaks old files."""
-
-_MIN_PROBABILITY = 16
-"""Smallest probability of either bit, in units of 2^-16. Frozen: breaks old files."""
+_MAX_LOGIT = 2047  # largest magnitude of x, in units of 2^-8: about 8, a probability of 1 in 3000; frozen
+_MAX_FREQUENCY_COUNT = 255  # largest count in the running mean of a frequency; frozen
+_LEARNING_RATE = 48  # learning rate of weights, in 1 / 4096 of x's and p's units; frozen
+_MIN_PROBABILITY = 16  # smallest probability of either bit, in units of 2^-16; frozen
 
 
 MAX_BITS_PER_BYTE = 17_000
@@ -290,17 +275,13 @@ def code_bit_of_kind(
     return bit, state
 
 
-CONTEXTS_PER_BIT = 8
-"""Number of contexts of a bit. Frozen: breaks old files."""
-
-CONTEXT_SLOTS = 1 << 16
-"""Number of hashed contexts per input. Frozen: breaks old files."""
+CONTEXTS_PER_BIT = 8  # number of contexts of a bit; frozen
+CONTEXT_SLOTS = 1 << 16  # number of hashed contexts per input; frozen
 
 HASH_MULTIPLIER = np.uint64(11400714819323198485)
 """Multiplier of the hash: 2^64 / golden ratio. Unsigned: LLVM assumes no signed overflow. Frozen: breaks old files."""
 
-_HASH_SHIFT = np.uint64(48)
-"""Right shift of a product to its highest 16 bits, the slot. Frozen: breaks old files."""
+_HASH_SHIFT = np.uint64(48)  # right shift of a product to its highest 16 bits, the slot; frozen
 
 _MAX_BYTES_PER_BIT = 2
 """Largest number of bytes per bit, as probabilities are at least 2^-12. Free: memory is allocated ahead."""

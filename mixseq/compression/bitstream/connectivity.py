@@ -48,11 +48,8 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.types import Index, Int32
 
-UNUSED, OPEN, CLOSED = 0, 1, 2
-"""States of vertices. Frozen: breaks old files."""
-
-INTO, OUT_OF = 0, 1
-"""Rows of tables for half-edges that end, or start, at a vertex. Free: not in files."""
+UNUSED, OPEN, CLOSED = 0, 1, 2  # states of vertices; frozen
+INTO, OUT_OF = 0, 1  # rows of tables for half-edges that end, or start, at a vertex; free: not in files
 
 _MAX_SEARCHED_HALF_EDGES = 32
 """Open half-edges at a vertex, after the first, that are searched for the opposite. Frozen: breaks old files."""
@@ -196,11 +193,8 @@ def _unlink(mesh: HalfEdges, side: int, vertex: int, edge: int) -> None:
         mesh.newest[side, vertex] = older
 
 
-GUESS_COUNT, BASE_COUNT = 16, 9
-"""Number of guesses at a corner, and of bases for naming a vertex. Frozen: breaks old files."""
-
-_REPEAT_SLOTS = 1 << 16
-"""Number of slots in the table from three corner differences to the next corner. Frozen: breaks old files."""
+GUESS_COUNT, BASE_COUNT = 16, 9  # number of guesses at a corner, and of bases for naming a vertex; frozen
+_REPEAT_SLOTS = 1 << 16  # number of slots in the table from three corner differences to the next corner; frozen
 
 _HASH_FACTOR, _HASH_PLACES, _HASH_SHIFT = np.uint64(1000003), np.uint64(4), np.uint64(32)
 """Factors of the hash from differences to a slot, and right shift of the result. Frozen: breaks old files."""
@@ -309,11 +303,8 @@ def repeat_slot(indices: Index, corner: int, place: int) -> int:
 BIT_KINDS = 4 * GUESS_COUNT + 4 * 5
 """Kinds of bits, which have separate mixing weights: guesses by place, numbers by topic. Frozen: breaks old files."""
 
-_COUNT_TOPIC, _STATE_TOPIC = 3, 4
-"""Topics of numbers; topics 0 to 2 are ranks of unused, open, closed vertices. Frozen: breaks old files."""
-
-_MAX_NUMBER_BITS = 33
-"""Largest bit length of a number. Frozen: breaks old files."""
+_COUNT_TOPIC, _STATE_TOPIC = 3, 4  # topics of numbers; topics 0 to 2 are ranks of unused, open, closed vertices; frozen
+_MAX_NUMBER_BITS = 33  # largest bit length of a number; frozen
 
 _MAX_SEARCHED_CORNERS = 32
 """Largest number of corners per polygon searched for a repeated vertex, to bound time. Frozen: breaks old files."""

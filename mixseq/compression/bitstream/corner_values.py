@@ -80,8 +80,7 @@ from mixseq.mesh.surface import CornerValues
 from mixseq.runtime.jit import compiled
 from mixseq.types import FloatArray, Index, Mask
 
-COPIED, AROUND, BEYOND, BESIDE, ANYWHERE = range(5)
-"""Kinds of guesses. Frozen: breaks old files."""
+COPIED, AROUND, BEYOND, BESIDE, ANYWHERE = range(5)  # kinds of guesses; frozen
 
 
 class Guess(NamedTuple):
@@ -175,8 +174,7 @@ def _add_to_mean(guess: Guess, i: int, value: int, count: int) -> None:
     guess.high[i] = max(guess.high[i], value) if count else value
 
 
-_ROTATION_BITS = 17
-"""Bits of the numbers by which copies are rotated and scaled. Frozen: breaks old files."""
+_ROTATION_BITS = 17  # bits of the numbers by which copies are rotated and scaled; frozen
 
 
 class Copies(NamedTuple):
@@ -313,29 +311,20 @@ def guess_copy(corners: Corners, copies: Copies, known: KnownNodes, corner: int,
     return 2
 
 
-_GUESS_GROUPS = 4
-"""Groups of guesses with similar errors: around or beyond, copied, beside, anywhere. Frozen: breaks old files."""
+_GUESS_GROUPS = 4  # groups of guesses with similar errors: around or beyond, copied, beside, anywhere; frozen
 
 VALUE_KINDS = 2 * _GUESS_GROUPS + 2
 """Kinds of bits after the kinds of seams: u and v for every group, and two for regions. Frozen: breaks old files."""
 
-MAX_NUMBER_BITS = 40
-"""Largest bit length of a number. Frozen: breaks old files."""
-
-MAX_COORDINATE = 1 << 26
-"""Largest magnitude of a coordinate, in steps. Frozen: breaks old files."""
-
-_MAX_COPY_ERROR = 8
-"""Error in steps above which a polygon loses its image, if the other guess is better. Frozen: breaks old files."""
+MAX_NUMBER_BITS = 40  # largest bit length of a number; frozen
+MAX_COORDINATE = 1 << 26  # largest magnitude of a coordinate, in steps; frozen
+_MAX_COPY_ERROR = 8  # error in steps above which a polygon loses its image, if the other guess is better; frozen
 
 _REGION_KIND, _IMAGE_KIND = 2 * _GUESS_GROUPS, 2 * _GUESS_GROUPS + 1
 """Kinds of the two numbers that begin a region. Frozen: breaks old files."""
 
-_NO_NODE = -1
-"""Value for no node, of the same type as nodes. Free: saves a compilation."""
-
-_INITIAL_SIZES = (64, 64, 160, 160)
-"""Initial expected size of an error in every group. Frozen: breaks old files."""
+_NO_NODE = -1  # value for no node, of the same type as nodes; free: saves a compilation
+_INITIAL_SIZES = (64, 64, 160, 160)  # initial expected size of an error in every group; frozen
 
 
 @compiled

@@ -45,8 +45,7 @@ from mixseq.mesh.surface import renumber_by_first_use
 from mixseq.runtime.jit import compiled
 from mixseq.types import Index, IntArray
 
-_QUEUE_COUNT = 4
-"""Number of queues by unknown nodes per polygon; the last queue takes all larger counts. Frozen: breaks old files."""
+_QUEUE_COUNT = 4  # number of queues by unknown nodes per polygon; the last queue takes all larger counts; frozen
 
 
 class Corners(NamedTuple):
@@ -198,19 +197,15 @@ def _walk_corners(corners: Corners) -> Index:
     return entry_corners
 
 
-SEAM_KINDS = 4
-"""Number of kinds of bits, which have separate mixing weights. Frozen: breaks old files."""
+SEAM_KINDS = 4  # number of kinds of bits, which have separate mixing weights; frozen
 
 _INTO, _OUT, _OTHER, _BOTH = range(SEAM_KINDS)
 """Node across the edge into a corner, across the edge out of it, another node, or one node across both edges.
 Frozen: breaks old files.
 """
 
-MAX_SEARCHED_NODES = 32
-"""Largest number of searched nodes per vertex, to bound the time. Frozen: breaks old files."""
-
-MAX_SEAM_BITS = 2 + MAX_SEARCHED_NODES
-"""Largest number of bits per corner. Free: memory is allocated ahead."""
+MAX_SEARCHED_NODES = 32  # largest number of searched nodes per vertex, to bound the time; frozen
+MAX_SEAM_BITS = 2 + MAX_SEARCHED_NODES  # largest number of bits per corner; free: memory is allocated ahead
 
 
 @compiled

@@ -51,20 +51,14 @@ from mixseq.compression.bitstream.signal_graph import (
 from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.types import Float, Index, Int32
 
-UNITS_PER_STEP = 64
-"""Number of units per step. Frozen: breaks files."""
+UNITS_PER_STEP = 64  # number of units per step; frozen
 
 LANES_PER_BLOCK, LANES_PER_SMALL_BLOCK = 64, 8
 """Number of nodes in a block, for large and for small graphs. Free: affects time only."""
 
-_MAX_PREDICTION = 2.0**50
-"""Largest magnitude of predictions; larger ones, in damaged files, are clamped. Frozen: breaks files."""
-
-_ROUNDING_OFFSET = 1.5 * 2.0**28
-"""Number whose addition and subtraction rounds to a multiple of 2^-24. Frozen: breaks files."""
-
-_RELATIVE_RIDGE = 1e-12
-"""Share of a matrix's trace added to the ridge, for nearly singular matrices. Frozen: breaks files."""
+_MAX_PREDICTION = 2.0**50  # largest magnitude of predictions; larger ones, in damaged files, are clamped; frozen
+_ROUNDING_OFFSET = 1.5 * 2.0**28  # number whose addition and subtraction rounds to a multiple of 2^-24; frozen
+_RELATIVE_RIDGE = 1e-12  # share of a matrix's trace added to the ridge, for nearly singular matrices; frozen
 
 
 class Blocks(NamedTuple):
@@ -260,11 +254,8 @@ def _insert(node: int, other: int, distance: float, similar: Int32, similar_coun
     similar_counts[node] = min(similar_counts[node] + 1, len(nearest))
 
 
-MAX_STENCIL_NODES = 16
-"""Largest number of nodes in a stencil: neighbours, then nodes with the largest weights. Frozen: breaks files."""
-
-MAX_SLOPE_NEIGHBOURS = 32
-"""Number of neighbours above which slopes at a node are ignored, to save time. Frozen: breaks files."""
+MAX_STENCIL_NODES = 16  # largest number of nodes in a stencil: neighbours, then nodes with the largest weights; frozen
+MAX_SLOPE_NEIGHBOURS = 32  # number of neighbours above which slopes at a node are ignored, to save time; frozen
 
 
 class Stencils(NamedTuple):
@@ -392,20 +383,14 @@ def _update_lengths(level: Level, lengths: Float) -> Float:
     return new_lengths
 
 
-SIMILAR_VERTICES, SIMILAR_FRAMES = 8, 16
-"""Number of most similar nodes joined to a node: vertices, or frames. Frozen: breaks files."""
-
-SIMILARITY_SEARCH_SIGNALS = 5
-"""Number of known signals per coordinate at which similar nodes are searched for. Frozen: breaks files."""
+SIMILAR_VERTICES, SIMILAR_FRAMES = 8, 16  # number of most similar nodes joined to a node: vertices, or frames; frozen
+SIMILARITY_SEARCH_SIGNALS = 5  # number of known signals per coordinate at which similar nodes are searched for; frozen
 
 EXHAUSTIVE_SEARCH_NODES = 2048
 """Number of first nodes that search all earlier nodes; later nodes search near neighbours. Frozen: breaks files."""
 
-RIDGE_PER_SIGNAL = 0.5
-"""Squared rounding error of a known signal, in steps: rho, the ridge of the weights. Frozen: breaks files."""
-
-ROUGHNESS_SCALE = 10.0
-"""Mean squared difference of neighbours, in squared steps, above which trust falls. Frozen: breaks files."""
+RIDGE_PER_SIGNAL = 0.5  # squared rounding error of a known signal, in steps: rho, the ridge of the weights; frozen
+ROUGHNESS_SCALE = 10.0  # mean squared difference of neighbours, in squared steps, above which trust falls; frozen
 
 TRUST_DOUBLING_SIGNALS, _MAX_TRUST_DOUBLINGS = 16, 512
 """Number of signals after which trust is doubled, as newer signals resemble the next signal most, and largest number of
@@ -420,11 +405,8 @@ Frozen: breaks files.
 STEP_RATIO_TENTHS, MIN_STEP_UNITS = 9, 38
 """Ratio of the steps of successive coarser levels, in tenths, and smallest step in units. Frozen: breaks files."""
 
-UNIFORM_STEP_SIGNALS = 3
-"""Number of signals per coordinate with the same step at all nodes. Frozen: breaks files."""
-
-_LARGE_GRAPH_NODES = 1024
-"""Number of nodes above which graphs are processed in larger blocks. Free: affects time only."""
+UNIFORM_STEP_SIGNALS = 3  # number of signals per coordinate with the same step at all nodes; frozen
+_LARGE_GRAPH_NODES = 1024  # number of nodes above which graphs are processed in larger blocks; free, affects time
 
 MIN_REPLAYED_NODES, MAX_REPLAYED_SIGNALS = 1 << 15, 24
 """Number of nodes above which Gram matrices are computed again from up to this number of signals, instead of kept.

@@ -133,11 +133,8 @@ def _code_coordinate(
 Residuals = tuple[Index, Index]
 """Displaced vertices ``(n,)`` of a frame, and their displacements ``(n, 3)`` in units of the layer."""
 
-FRAMES_PER_RUN = 16
-"""Number of frames coded together. Frozen: another number breaks old files."""
-
-_MAX_CACHED_RUNS = 8
-"""Number of cached decoded runs. Free: not in files."""
+FRAMES_PER_RUN = 16  # number of frames coded together; frozen
+_MAX_CACHED_RUNS = 8  # number of cached decoded runs; free: not in files
 
 _NO_RESIDUALS: Residuals = np.zeros(0, dtype=np.int64), np.zeros((0, 3), dtype=np.int64)
 

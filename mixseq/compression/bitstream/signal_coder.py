@@ -52,14 +52,9 @@ from mixseq.errors import FormatError
 from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.types import Float, Index, Int32, IntArray
 
-SIZE_LEVELS = 32
-"""Number of levels of expected sizes, two per octave. Frozen: breaks old files."""
-
-DEPTH_CLASSES = 18
-"""Number of node classes by bit length of the node number, roughly the level in the graph. Frozen: breaks old files."""
-
-AGE_CLASSES = 8
-"""Number of signal classes by number of earlier signals. Frozen: breaks old files."""
+SIZE_LEVELS = 32  # number of levels of expected sizes, two per octave; frozen
+DEPTH_CLASSES = 18  # number of node classes by bit length of the node number, roughly the level in the graph; frozen
+AGE_CLASSES = 8  # number of signal classes by number of earlier signals; frozen
 
 CONTEXTS_PER_BIT, CONTEXT_VALUES = 5, SIZE_LEVELS * SIZE_LEVELS
 """Number of contexts of a bit, and number of values of each. Frozen: breaks old files."""
@@ -67,14 +62,12 @@ CONTEXTS_PER_BIT, CONTEXT_VALUES = 5, SIZE_LEVELS * SIZE_LEVELS
 _MAX_MODELLED_BITS, _MAX_NUMBER_BITS = 24, 55
 """Largest bit length that is coded with models only, and largest bit length of a number. Frozen: breaks old files."""
 
-POSITION_COUNT = 2 * _MAX_MODELLED_BITS
-"""Number of modelled questions about a number. Frozen: breaks old files."""
+POSITION_COUNT = 2 * _MAX_MODELLED_BITS  # number of modelled questions about a number; frozen
 
 _MAX_ROUNDED_NUMBER = 2.0**54
 """Largest magnitude of numbers, as trial steps may be too fine for doubles. Free: only encoders round."""
 
-_MAX_SIZE = 1 << 40
-"""Upper bound to which sizes are clamped. Frozen: breaks old files."""
+_MAX_SIZE = 1 << 40  # upper bound to which sizes are clamped; frozen
 
 
 @compiled
@@ -230,8 +223,7 @@ ROUNDING_MARGINS: Float = np.interp(np.arange(SIZE_LEVELS), [2, 6, 10, 14], [0.1
 zeros are expected, margins are smallest, as zeros save most bits. Chosen on seven sequences. Free: only encoders round.
 """
 
-_MAX_BYTES_PER_NUMBER = 16
-"""Bytes reserved in the stream per number. Free: memory is allocated ahead."""
+_MAX_BYTES_PER_NUMBER = 16  # bytes reserved in the stream per number; free: memory is allocated ahead
 
 
 class Signal(NamedTuple):

@@ -61,17 +61,10 @@ from mixseq.runtime.jit import compiled
 from mixseq.runtime.parallel import two_thread_executor
 from mixseq.types import Float, Index, Int32
 
-MAX_PARTS = 128
-"""Largest number of parts of a mesh. Frozen: files with more parts are refused."""
-
-FIRST_GROUP_SIZE = 12
-"""Number of basis vectors in the first group. Frozen: another number breaks old files."""
-
-MIN_FIELD_NORM = 1e-6
-"""Norm in diagonals up to which affine fields are left out. Frozen: breaks old files."""
-
-_LABEL_BITS = 7
-"""Number of bits of a label. Frozen: breaks old files."""
+MAX_PARTS = 128  # largest number of parts of a mesh; frozen: files with more parts are refused
+FIRST_GROUP_SIZE = 12  # number of basis vectors in the first group; frozen
+MIN_FIELD_NORM = 1e-6  # norm in diagonals up to which affine fields are left out; frozen
+_LABEL_BITS = 7  # number of bits of a label; frozen
 
 
 def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
@@ -266,8 +259,7 @@ class SpatialBasis:
         return frames
 
 
-MAX_NORM = 2.0**127
-"""Limit on norms of basis vectors. Frozen: players compute in single precision."""
+MAX_NORM = 2.0**127  # limit on norms of basis vectors; frozen: players compute in single precision
 
 
 def group_slices(rank: int) -> list[slice]:

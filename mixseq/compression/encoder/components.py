@@ -171,14 +171,9 @@ def _centred_trajectories(sequence: FrameStore, frames: Index) -> tuple[LargeArr
     return table, means
 
 
-MIN_FACES_PER_PART = 8
-"""Smallest mean number of faces per part; a mesh with fewer faces remains one part."""
-
-RIGID_PARTS = 24
-"""Number of near-rigid parts before merging."""
-
-SEGMENTATION_FRAMES = 16
-"""Number of evenly spread frames for segmentation and merging."""
+MIN_FACES_PER_PART = 8  # smallest mean number of faces per part; a mesh with fewer faces remains one part
+RIGID_PARTS = 24  # number of near-rigid parts before merging
+SEGMENTATION_FRAMES = 16  # number of evenly spread frames for segmentation and merging
 
 
 def initial_parts(sequence: FrameStore, counts: tuple[int, ...]) -> dict[int, Index]:
@@ -263,17 +258,10 @@ class _PartSums(NamedTuple):
         return np.asarray(self.squares - means / self.sizes - 2 * rotated.sum(axis=1))
 
 
-MAX_REFINING_ROUNDS = 5
-"""Largest number of rounds in which vertices change parts."""
-
-MIN_PART_VERTICES = 8
-"""Smallest number of vertices in a part."""
-
-MAX_COMPONENTS = 64
-"""Largest number of components of the whole mesh that are used."""
-
-MIN_COMPONENT_STEPS = 0.1
-"""Mean displacement of vertices by a component, in steps, below which it is ignored."""
+MAX_REFINING_ROUNDS = 5  # largest number of rounds in which vertices change parts
+MIN_PART_VERTICES = 8  # smallest number of vertices in a part
+MAX_COMPONENTS = 64  # largest number of components of the whole mesh that are used
+MIN_COMPONENT_STEPS = 0.1  # mean displacement of vertices by a component, in steps, below which it is ignored
 
 
 def refine_parts(components: PrincipalComponents, labels: Index, faces: NDArray[np.integer], step: float) -> Index:
@@ -334,11 +322,8 @@ def _neighbour_mean_matrix(faces: NDArray[np.integer], vertex_count: int) -> spa
 MIN_VECTOR_STEPS = 0.9
 """Largest magnitude in a basis vector, in steps, below which it vanishes: rounding sets nearly all numbers to zero."""
 
-MAX_VANISHING_VECTORS = 2
-"""Number of consecutive vanishing basis vectors after which no more vectors are coded."""
-
-_VECTORS_PER_BATCH = 16
-"""Number of basis vectors computed at once."""
+MAX_VANISHING_VECTORS = 2  # number of consecutive vanishing basis vectors after which no more vectors are coded
+_VECTORS_PER_BATCH = 16  # number of basis vectors computed at once
 
 
 class Fit(NamedTuple):

@@ -40,11 +40,8 @@ from mixseq.signals.model import Model
 from mixseq.spaces.temporal import insert_midpoints
 from mixseq.types import Float
 
-MAX_SIZE_RATIO = 0.15
-"""Largest ratio of the bytes of in-betweens to those of basis, coefficients and residual layer."""
-
-MAX_ERROR_RATIO = 0.8
-"""Largest ratio of root mean square errors, after to before a level, at which the level is kept."""
+MAX_SIZE_RATIO = 0.15  # largest ratio of the bytes of in-betweens to those of basis, coefficients and residual layer
+MAX_ERROR_RATIO = 0.8  # largest ratio of root mean square errors, after to before a level, at which the level is kept
 
 ROUNDING_RATIO = 0.2
 """Ratio of the mean square rounding error of in-betweens to the mean square distance of the basis from the model."""

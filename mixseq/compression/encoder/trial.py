@@ -37,8 +37,7 @@ from mixseq.runtime.parallel import thread_executor, two_thread_executor
 from mixseq.sequence.sequence import FrameStore, block_size, iterate_blocks
 from mixseq.types import Float, Index
 
-DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRAMES = 512, 16
-"""Default and smallest approximate number of frames in a chunk."""
+DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRAMES = 512, 16  # default and smallest approximate number of frames in a chunk
 
 
 class RoundedPart(NamedTuple):

@@ -34,8 +34,7 @@ _MIN_ERROR_BITS = 8.0
 _MAX_TESTED_POLYGONS = 4096
 """Largest number of tested polygons, to bound the time. Polygons with the largest errors are preferred."""
 
-_SAMPLED_POLYGONS = 256
-"""Number of polygons examined to estimate the saving of a candidate."""
+_SAMPLED_POLYGONS = 256  # number of polygons examined to estimate the saving of a candidate
 
 _COPY_TOLERANCE = 6.0, 0.01
 """Tolerance of a copied node: in steps, and relative to the distance of its image from the first image."""
@@ -231,14 +230,9 @@ def _copy_error(values: Index, x: int, y: int, p: int, p_image: int, q: int, q_i
     return error
 
 
-UV_ERROR = 2.0**-16
-"""Default largest error of u and v: 1/16 of a texel of a texture of 4096 x 4096."""
-
-MAX_UV_ERROR = 0.25
-"""Largest allowed error: its grid has only the steps 0, 1/2 and 1."""
-
-_MAX_STEPS = 1 << 23
-"""Largest coordinate in steps for which float32 separates adjacent steps."""
+UV_ERROR = 2.0**-16  # default largest error of u and v: 1/16 of a texel of a texture of 4096 x 4096
+MAX_UV_ERROR = 0.25  # largest allowed error: its grid has only the steps 0, 1/2 and 1
+_MAX_STEPS = 1 << 23  # largest coordinate in steps for which float32 separates adjacent steps
 
 
 def with_quantised_uvs(
