@@ -18,11 +18,8 @@ from mixseq.types import Float, Index, Int32, Mask
 ONE, TWO, THREE = np.uint64(1), np.uint64(2), np.uint64(3)
 """Steps of unsigned indices; sums with signed numbers would be floats."""
 
-MIN_DOUBLE = 2.2250738585072014e-308
-"""Least positive double with full precision."""
-
-FULL_TURN = 2.0 * math.pi
-"""Angle of a full turn in radians."""
+MIN_DOUBLE = 2.2250738585072014e-308  # least positive double with full precision
+FULL_TURN = 2.0 * math.pi  # angle of a full turn in radians
 
 
 @force_inlined
