@@ -1,31 +1,28 @@
 r"""Code bits by binary arithmetic coding, predict bits with adaptive models, and check decoded numbers.
 
-*Coding.* Encoder and decoder compute the same probability for each bit. An interval of 32-bit numbers is split in the
-ratio of the probabilities of 1 and 0, and the part of the actual bit is kept. Leading bytes that both ends share are
-output. The loss against the ideal size is below a thousandth. Probabilities depend on earlier bits, so the interval is
-split inside compiled loops.
+*Coding.* Encoder and decoder compute the same probability for each bit, from earlier bits. An interval of 32-bit
+numbers is split in the ratio of the probabilities of 1 and 0, and the part of the actual bit is kept.
 
-*Models.* A probability is mixed from several inputs. A bit has a *position* (first question on a number, second, ...)
-and, in every input, a *context*, which is a small integer. In context :math:`c` of input :math:`i`, :math:`n_{ic}` bits
-at this position were 1 with the relative frequency :math:`p_{ic}`. Inputs are mixed in the logistic domain
-(Mahoney 2005, *Adaptive weighing of context models for lossless data compression*),
+*Models.* A bit has a *position* (first question on a number, second, ...) and, in every input, a *context*, which is a
+small integer. In context :math:`c` of input :math:`i`, :math:`n_{ic}` bits at this position were 1 with the relative
+frequency :math:`p_{ic}`. Inputs are mixed in the logistic domain (Mahoney 2005, *Adaptive weighing of context models
+for lossless data compression*),
 
 .. math:: x_i = \frac{n_{ic}}{n_{ic} + 1} \ln \frac{p_{ic}}{1 - p_{ic}}, \qquad x = \sum_i w_i x_i,
           \qquad p = \frac{1}{1 + e^{-x}}
 
-so that a new context contributes nothing. After the bit :math:`b`, frequencies move towards :math:`b`, and weights of
-the position become :math:`w_i \leftarrow w_i + \eta (b - p) x_i`. All values are integers below :math:`2^{49}`:
-:math:`p` and :math:`w` in units of :math:`2^{-16}`, :math:`x` in units of :math:`2^{-8}`.
+After the bit :math:`b`, frequencies move towards :math:`b`, and weights of the position become
+:math:`w_i \leftarrow w_i + \eta (b - p) x_i`. All values are integers below :math:`2^{49}`: :math:`p` and :math:`w` in
+units of :math:`2^{-16}`, :math:`x` in units of :math:`2^{-8}`.
 
 *Hashed contexts* replace tables that would be too large. A bit has a kind and, in every input, a context, which is any
 64-bit number. Contexts share frequencies if the highest 16 bits of their product with a constant are the same.
 
-*Checks.* A stream ends with the CRC-32 of its decoded numbers. Decoding repeats every prediction of the encoder, so
-different rounding, an error in a library or port, or a damaged file changes the decoded numbers. The check raises an
-error in each case.
+*Checks.* A stream ends with the CRC-32 of its decoded numbers. Different rounding, an error in a library or port, or a
+damaged file changes these, and raises an error.
 
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz`` and
-``tests/formats/golden/compressed-v1.h5``).
+Frozen: changing this breaks old files (specified in ``docs/file-format.md``; golden:
+``tests/compression/golden/*.npz``).
 """
 
 from __future__ import annotations
@@ -305,6 +302,17 @@ def new_hashed_bits(stream: BitStream, kinds: int) -> HashedBits:
 def new_hashed_output(count: int, kinds: int) -> HashedBits:
     """Return untrained models, and an empty stream with room for `count` bits."""
     return new_hashed_bits(new_output_stream(_MAX_BYTES_PER_BIT * count), kinds)
+
+
+def open_hashed_input(data: bytes, kinds: int) -> tuple[HashedBits, int]:
+    """Return untrained models for reading the output of `finish_hashed`, and its checksum."""
+    stream, checksum = split_checksum(data)
+    return new_hashed_bits(new_input_stream(stream), kinds), checksum
+
+
+def finish_hashed(bits: HashedBits, checksum: int) -> bytes:
+    """Return the bytes of written bits, with the checksum of the numbers that they code."""
+    return append_checksum(finish_stream(bits.stream), checksum)
 
 
 def reserve_bits(bits: HashedBits, count: int) -> HashedBits:

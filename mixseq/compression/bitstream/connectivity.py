@@ -32,16 +32,13 @@ from mixseq.compression.bitstream.arithmetic import (
     DAMAGE_CURE,
     HASH_MULTIPLIER,
     HashedBits,
-    append_checksum,
     bit_length,
     checksum_of,
     code_hashed_bit,
-    finish_stream,
+    finish_hashed,
     has_failed,
-    new_hashed_bits,
     new_hashed_output,
-    new_input_stream,
-    split_checksum,
+    open_hashed_input,
 )
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.mesh.polygons import Polygons
@@ -532,8 +529,7 @@ def encode_polygons(polygons: Polygons, vertex_count: int) -> bytes:
     count, state, distance = (2 + 2 * largest.bit_length() for largest in (len(indices), 1, vertex_count))
     capacity = len(counts) * count + len(indices) * (GUESS_COUNT + state + distance)
     bits = new_hashed_output(capacity, BIT_KINDS)
-    checksum = _code_polygons(bits, vertex_count, counts, indices)
-    return append_checksum(finish_stream(bits.stream), checksum)
+    return finish_hashed(bits, _code_polygons(bits, vertex_count, counts, indices))
 
 
 def _code_polygons(bits: HashedBits, vertex_count: int, counts: Index, indices: Index) -> int:
@@ -553,8 +549,7 @@ def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_c
         if data or corner_count:
             raise FormatError(f"the coded polygons are damaged, as a mesh with {described} has none; {DAMAGE_CURE}")
         return Polygons(np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int32))
-    stream, expected = split_checksum(data)
-    bits = new_hashed_bits(new_input_stream(stream), BIT_KINDS)
+    bits, expected = open_hashed_input(data, BIT_KINDS)
     counts, indices = np.zeros(polygon_count, dtype=np.int64), np.zeros(corner_count, dtype=np.int64)
     checksum = _code_polygons(bits, vertex_count, counts, indices)
     if bits.failed[0] or checksum != expected:

@@ -48,20 +48,17 @@ from mixseq.compression.bitstream.arithmetic import (
     DAMAGE_CURE,
     EVEN_PROBABILITY,
     HashedBits,
-    append_checksum,
     bit_length,
     checksum_of,
     code_bit,
     code_hashed_bit,
     code_raw_bits,
-    finish_stream,
+    finish_hashed,
     has_failed,
     load_state,
-    new_hashed_bits,
     new_hashed_output,
-    new_input_stream,
+    open_hashed_input,
     reserve_bits,
-    split_checksum,
     store_state,
 )
 from mixseq.compression.bitstream.corners import (
@@ -542,13 +539,12 @@ def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Ind
     bits = reserve_bits(bits, (len(values) + len(polygons.counts)) * _MAX_PAIR_BITS)
     values[corners.node] = numbers
     copies, known = _code_values(bits, corners, values, regions)
-    return CodedUVs(append_checksum(finish_stream(bits.stream), checksum_of(numbers)), corners, copies, known)
+    return CodedUVs(finish_hashed(bits, checksum_of(numbers)), corners, copies, known)
 
 
 def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -> CornerValues:
     """Decode the texture coordinates written by `code_uvs`, multiples of ``1 / steps``."""
-    stream, expected = split_checksum(data)
-    bits = new_hashed_bits(new_input_stream(stream), SEAM_KINDS + VALUE_KINDS)
+    bits, expected = open_hashed_input(data, SEAM_KINDS + VALUE_KINDS)
     nodes = code_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, np.int64))
     corners = _corners_of_nodes(polygons, nodes)
     values = np.zeros((len(corners.around_starts) - 1, 2), dtype=np.int64)

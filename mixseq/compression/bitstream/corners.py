@@ -29,15 +29,12 @@ import numpy as np
 from mixseq.compression.bitstream.arithmetic import (
     DAMAGE_CURE,
     HashedBits,
-    append_checksum,
     checksum_of,
     code_hashed_bit,
-    finish_stream,
+    finish_hashed,
     has_failed,
-    new_hashed_bits,
     new_hashed_output,
-    new_input_stream,
-    split_checksum,
+    open_hashed_input,
 )
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons, canonical_order
@@ -301,13 +298,12 @@ def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) 
     nodes = code_seams(bits, polygons, vertex_count, normal_ids)
     if not np.array_equal(renumber_by_first_use(nodes), normal_ids):
         return None
-    return append_checksum(finish_stream(bits.stream), checksum_of(normal_ids))
+    return finish_hashed(bits, checksum_of(normal_ids))
 
 
 def decode_hard_edges(data: bytes, polygons: Polygons, vertex_count: int) -> Index:
     """Decode the numbers ``(sum of counts,)`` of normals at the corners: 0, 1, 2, ... in order of first use."""
-    stream, expected = split_checksum(data)
-    bits = new_hashed_bits(new_input_stream(stream), SEAM_KINDS)
+    bits, expected = open_hashed_input(data, SEAM_KINDS)
     nodes = code_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, dtype=np.int64))
     numbers = renumber_by_first_use(nodes)
     if bits.failed[0] or checksum_of(numbers) != expected:

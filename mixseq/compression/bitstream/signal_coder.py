@@ -2,23 +2,18 @@ r"""Code signals over a graph: basis vectors over a mesh, and their coefficients
 
 Nodes are coded from coarse to fine levels. Each value is predicted from known values (`predictor`), the residual is
 rounded to a whole number of steps, and this number is written bit by bit: its length, its bits, its sign. The
-probability of a bit is mixed (`arithmetic`) from five contexts, each of which combines two quantities:
-
-0. the mean size :math:`s` of this signal's numbers at the neighbours, and the *activity* :math:`a` of the node, an
-   average of the sizes of its numbers in earlier signals, weighted towards newer signals;
-1. the activity, and its mean :math:`\bar a` over the ring of adjacent nodes;
-2. the expected size :math:`0.80\, s + 0.40\, a + 0.15\, \bar a`, and the level of the node in the graph;
-3. the mean size at the neighbours, and the size of the node's number in the previous signal;
-4. the expected size, and the number of earlier signals.
-
-A stream ends with the CRC-32 of all its values. So different rounding, an error in a port, or a damaged file raises an
-error, and never decodes to wrong points.
+probability of a bit is mixed (`arithmetic`) from five contexts, which combine the mean size :math:`s` of this signal's
+numbers at the neighbours, the *activity* :math:`a` of the node, an average of the sizes of its numbers in earlier
+signals, weighted towards newer signals, and its mean :math:`\bar a` over adjacent nodes; the expected size
+:math:`0.80\, s + 0.40\, a + 0.15\, \bar a`; the level of the node; and its number in the previous signal. A stream ends
+with the CRC-32 of all its values.
 
 The same compiled loop writes and reads numbers. A second loop reconstructs values from numbers, as the contexts of a
 number depend on numbers only.
 
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``); how encoders round is free. All
-decisions use integers, except the sums of `predictor.predict`, which are rounded.
+Frozen: changing this breaks old files (specified in ``docs/file-format.md``; golden:
+``tests/compression/golden/*.npz``); how encoders round is free. All decisions use integers, except the sums of
+`predictor.predict`, which are rounded.
 """
 
 from __future__ import annotations

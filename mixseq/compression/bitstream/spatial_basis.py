@@ -12,19 +12,15 @@ shapes
     shape, whose coefficient :math:`u_0 = 1 / \sqrt T` is known.
 
 Basis vectors are split into groups with one stream each. A group is twice as large as the group before, so that a
-damaged file keeps the most important vectors. Every group has vectors of all parts. Coefficients have one stream per
-chunk of frames, coded independently.
-
-The first group begins with the part labels of vertices, in the order of the mesh's graph. A bit codes whether a vertex
-has the most frequent label of its known neighbours, and another bit the second most frequent label. If the vertex has
-neither, the label follows, highest bit first. Contexts of both bits are the numbers of neighbours with these labels,
-and of all neighbours.
+damaged file keeps the most important vectors. Every group has vectors of all parts; the first one begins with the part
+labels of vertices, each predicted from its known neighbours. Coefficients have one stream per chunk of frames, coded
+independently.
 
 In-betweens move in the spatial basis, or in an affine basis, which takes no bytes: in every labelled part, the
 functions 1, x, y and z of the position in the first frame, made orthogonal in this order (Gram-Schmidt).
 
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``; ``parts.npz`` has several parts,
-``shapes.npz`` several groups, ``long.npz`` several chunks). `mixseq.compression.encoder.trial` writes these streams.
+Frozen: changing this breaks old files (specified in ``docs/file-format.md``; golden:
+``tests/compression/golden/*.npz``). `mixseq.compression.encoder.trial` writes these streams.
 """
 
 from __future__ import annotations
