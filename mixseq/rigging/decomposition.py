@@ -32,15 +32,7 @@ from mixseq.errors import InvalidSequenceError, SegmentationError, SettingsError
 from mixseq.mesh.polygons import label_vertices
 from mixseq.mesh.topology import Topology
 from mixseq.rigging.bone_tree import Joints, attach_joints, build_bone_tree, fit_motions
-from mixseq.rigging.bones import (
-    Binding,
-    Centred,
-    bind,
-    fit_rigid_motion,
-    merge_bones,
-    project_to_rotations,
-    seed_bones,
-)
+from mixseq.rigging.bones import Binding, Centred, bind, fit_rigid_motion, merge_bones, project_to_rotations, seed_bones
 from mixseq.rigging.rigs import BONES_PER_VERTEX, Skeleton, Skin
 from mixseq.runtime.progress import Progress
 from mixseq.segmentation.methods import segment

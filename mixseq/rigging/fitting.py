@@ -33,13 +33,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.rigging.bones import Centred
-from mixseq.rigging.decomposition import (
-    ROUGH_FIT_ROUNDS,
-    FreeBones,
-    fit_free_bones,
-    fit_to_skeleton,
-    fit_tree_skin,
-)
+from mixseq.rigging.decomposition import ROUGH_FIT_ROUNDS, FreeBones, fit_free_bones, fit_to_skeleton, fit_tree_skin
 from mixseq.rigging.rigs import BONES_PER_VERTEX, Morph, Skeleton, Skin, rotation_matrices
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, log_progress

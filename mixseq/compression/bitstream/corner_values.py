@@ -326,13 +326,7 @@ _INITIAL_SIZES = (64, 64, 160, 160)  # initial expected size of an error in ever
 
 @compiled
 def _code_node_values(
-    bits: HashedBits,
-    corners: Corners,
-    order: Index,
-    copies: Copies,
-    regions: Index,
-    known: KnownNodes,
-    guess: Guess,
+    bits: HashedBits, corners: Corners, order: Index, copies: Copies, regions: Index, known: KnownNodes, guess: Guess
 ) -> None:
     """Code the values of all nodes, or decode them; set `bits.failed` on failure.
 

@@ -244,14 +244,7 @@ def test_matrices_that_are_computed_again_give_the_same_weights(monkeypatch: pyt
 
 def test_trust_is_a_power_of_two() -> None:
     neighbours, counts = np.array([[0], [0], [1]], dtype=np.int32), np.array([0, 1, 1], dtype=np.int32)
-    for rough, expected_trust in [
-        (0.0, 1.0),
-        (4.9, 1.0),
-        (5.1, 0.5),
-        (19.9, 0.5),
-        (20.1, 0.25),
-        (1e6, 2.0**-17),
-    ]:
+    for rough, expected_trust in [(0.0, 1.0), (4.9, 1.0), (5.1, 0.5), (19.9, 0.5), (20.1, 0.25), (1e6, 2.0**-17)]:
         signal = np.array([0.0, np.sqrt(rough), 0.0])  # a mean square of rough
         assert module.compute_trust(signal, 10.0, neighbours, counts) == expected_trust
     assert module.compute_trust(signal[:1], 10.0, neighbours, counts[:1]) == 1

@@ -10,13 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.compression.bitstream.arithmetic import BitModels
-from mixseq.compression.bitstream.signal_coder import (
-    ROUNDING_MARGINS,
-    Reader,
-    SignalCoder,
-    Writer,
-    new_number_models,
-)
+from mixseq.compression.bitstream.signal_coder import ROUNDING_MARGINS, Reader, SignalCoder, Writer, new_number_models
 from mixseq.compression.bitstream.signal_graph import SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
 from mixseq.types import Float
