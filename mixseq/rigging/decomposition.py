@@ -39,11 +39,8 @@ from mixseq.segmentation.methods import segment
 from mixseq.sequence.sequence import MeshSequence, UnitConversion, bounding_diagonal
 from mixseq.types import Float, Index
 
-MIN_RELATIVE_GAIN = 3e-3
-"""Smallest mean decrease of the error by a round, relative to the error; constants here were chosen empirically."""
-
+MIN_RELATIVE_GAIN = 3e-3  # smallest mean relative decrease of the error by a round; chosen empirically, as all here
 MAX_TREE_ERROR_RATIO = 1.1  # largest root mean square error of bones in a tree, relative to the error of free bones
-
 _GAIN_ROUNDS = 3  # number of rounds over which the decrease of the error is averaged
 _ROUNDING_ERROR = 1e-9  # root mean square error that counts as rounding, in diagonals
 _NO_SLIDING_ERROR = 1e-6  # root mean square error that is always accepted without sliding joints, in diagonals

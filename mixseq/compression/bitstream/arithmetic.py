@@ -53,8 +53,7 @@ def append_checksum(data: bytes, checksum: int) -> bytes:
     return data + checksum.to_bytes(CHECKSUM_SIZE, "little")
 
 
-DAMAGE_CURE = "restore the file, or compress the original again"
-"""Cure in messages about damaged streams. Free: wording."""
+DAMAGE_CURE = "restore the file, or compress the original again"  # cure of damaged streams; free: wording
 
 
 def split_checksum(data: bytes) -> tuple[bytes, int]:
@@ -189,8 +188,7 @@ _LEARNING_RATE = 48  # learning rate of weights, in 1 / 4096 of x's and p's unit
 _MIN_PROBABILITY = 16  # smallest probability of either bit, in units of 2^-16; frozen
 
 
-MAX_BITS_PER_BYTE = 17_000
-"""Upper bound of bits that a byte codes: by `_MAX_LOGIT`, each takes 4.8e-4 bits or more. Free: a check."""
+MAX_BITS_PER_BYTE = 17_000  # upper bound: by `_MAX_LOGIT`, a bit takes 4.8e-4 bits or more; free: a check
 
 
 class BitModels(NamedTuple):
@@ -279,9 +277,7 @@ HASH_MULTIPLIER = np.uint64(11400714819323198485)
 """Multiplier of the hash: 2^64 / golden ratio. Unsigned: LLVM assumes no signed overflow. Frozen: breaks old files."""
 
 _HASH_SHIFT = np.uint64(48)  # right shift of a product to its highest 16 bits, the slot; frozen
-
-_MAX_BYTES_PER_BIT = 2
-"""Largest number of bytes per bit, as probabilities are at least 2^-12. Free: memory is allocated ahead."""
+_MAX_BYTES_PER_BIT = 2  # largest number of bytes per bit, as probabilities are at least 2^-12; free: allocated ahead
 
 
 class HashedBits(NamedTuple):

@@ -47,9 +47,7 @@ from mixseq.types import Index, Int32
 
 UNUSED, OPEN, CLOSED = 0, 1, 2  # states of vertices; frozen
 INTO, OUT_OF = 0, 1  # rows of tables for half-edges that end, or start, at a vertex; free: not in files
-
-_MAX_SEARCHED_HALF_EDGES = 32
-"""Open half-edges at a vertex, after the first, that are searched for the opposite. Frozen: breaks old files."""
+_MAX_SEARCHED_HALF_EDGES = 32  # open half-edges at a vertex, after the first, searched for the opposite; frozen
 
 
 class HalfEdges(NamedTuple):
@@ -302,9 +300,7 @@ BIT_KINDS = 4 * GUESS_COUNT + 4 * 5
 
 _COUNT_TOPIC, _STATE_TOPIC = 3, 4  # topics of numbers; topics 0 to 2 are ranks of unused, open, closed vertices; frozen
 _MAX_NUMBER_BITS = 33  # largest bit length of a number; frozen
-
-_MAX_SEARCHED_CORNERS = 32
-"""Largest number of corners per polygon searched for a repeated vertex, to bound time. Frozen: breaks old files."""
+_MAX_SEARCHED_CORNERS = 32  # largest number of corners per polygon searched for a repeated vertex; frozen
 
 
 @compiled

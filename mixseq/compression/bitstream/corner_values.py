@@ -316,10 +316,7 @@ VALUE_KINDS = 2 * _GUESS_GROUPS + 2
 MAX_NUMBER_BITS = 40  # largest bit length of a number; frozen
 MAX_COORDINATE = 1 << 26  # largest magnitude of a coordinate, in steps; frozen
 _MAX_COPY_ERROR = 8  # error in steps above which a polygon loses its image, if the other guess is better; frozen
-
-_REGION_KIND, _IMAGE_KIND = 2 * _GUESS_GROUPS, 2 * _GUESS_GROUPS + 1
-"""Kinds of the two numbers that begin a region. Frozen: breaks old files."""
-
+_REGION_KIND, _IMAGE_KIND = 2 * _GUESS_GROUPS, 2 * _GUESS_GROUPS + 1  # of the two numbers that begin a region; frozen
 _NO_NODE = -1  # value for no node, of the same type as nodes; free: saves a compilation
 _INITIAL_SIZES = (64, 64, 160, 160)  # initial expected size of an error in every group; frozen
 
@@ -494,8 +491,7 @@ def _size_in_bits(number: int) -> int:
     return 16 * length + ((number << 5 >> length) & 15)
 
 
-_MAX_PAIR_BITS = 2 * (2 * MAX_NUMBER_BITS + 1)
-"""Largest number of bits of a pair of numbers. Free: memory is allocated ahead."""
+_MAX_PAIR_BITS = 2 * (2 * MAX_NUMBER_BITS + 1)  # largest number of bits of a pair of numbers; free: allocated ahead
 
 
 def to_grid(values: FloatArray, steps: int) -> Index | None:

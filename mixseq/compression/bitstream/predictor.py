@@ -385,10 +385,7 @@ def _update_lengths(level: Level, lengths: Float) -> Float:
 
 SIMILAR_VERTICES, SIMILAR_FRAMES = 8, 16  # number of most similar nodes joined to a node: vertices, or frames; frozen
 SIMILARITY_SEARCH_SIGNALS = 5  # number of known signals per coordinate at which similar nodes are searched for; frozen
-
-EXHAUSTIVE_SEARCH_NODES = 2048
-"""Number of first nodes that search all earlier nodes; later nodes search near neighbours. Frozen: breaks files."""
-
+EXHAUSTIVE_SEARCH_NODES = 2048  # number of first nodes that search all earlier nodes, not only near neighbours; frozen
 RIDGE_PER_SIGNAL = 0.5  # squared rounding error of a known signal, in steps: rho, the ridge of the weights; frozen
 ROUGHNESS_SCALE = 10.0  # mean squared difference of neighbours, in squared steps, above which trust falls; frozen
 
@@ -402,9 +399,7 @@ RENEWAL_SHIFT = 2
 Frozen: breaks files.
 """
 
-STEP_RATIO_TENTHS, MIN_STEP_UNITS = 9, 38
-"""Ratio of the steps of successive coarser levels, in tenths, and smallest step in units. Frozen: breaks files."""
-
+STEP_RATIO_TENTHS, MIN_STEP_UNITS = 9, 38  # ratio of steps of successive coarser levels, smallest step in units; frozen
 UNIFORM_STEP_SIGNALS = 3  # number of signals per coordinate with the same step at all nodes; frozen
 _LARGE_GRAPH_NODES = 1024  # number of nodes above which graphs are processed in larger blocks; free, affects time
 
@@ -413,8 +408,7 @@ MIN_REPLAYED_NODES, MAX_REPLAYED_SIGNALS = 1 << 15, 24
 Free: affects memory and time only.
 """
 
-BLOCKS_PER_REPLAY = 64
-"""Number of blocks whose Gram matrices are computed together from known signals. Free: affects time only."""
+BLOCKS_PER_REPLAY = 64  # number of blocks whose Gram matrices are computed together; free: affects time
 
 
 class Predictor:

@@ -40,8 +40,7 @@ from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import two_thread_executor
 from mixseq.types import Float, Index, Int32
 
-CONTEXTS_PER_BIT, CONTEXT_VALUES = 3, 3 * NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS
-"""Number of contexts of a bit, and number of values of each. Frozen: breaks old files."""
+CONTEXTS_PER_BIT, CONTEXT_VALUES = 3, 3 * NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS  # of a bit, and values of each; frozen
 
 _MAX_MODELLED_NUMBER, _MAX_EXCESS_BITS = 8, 62
 """Largest magnitude coded with models only, and largest bit length of the excess over it. Frozen: breaks old files."""

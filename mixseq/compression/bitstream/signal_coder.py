@@ -50,13 +50,8 @@ from mixseq.types import Float, Index, Int32, IntArray
 SIZE_LEVELS = 32  # number of levels of expected sizes, two per octave; frozen
 DEPTH_CLASSES = 18  # number of node classes by bit length of the node number, roughly the level in the graph; frozen
 AGE_CLASSES = 8  # number of signal classes by number of earlier signals; frozen
-
-CONTEXTS_PER_BIT, CONTEXT_VALUES = 5, SIZE_LEVELS * SIZE_LEVELS
-"""Number of contexts of a bit, and number of values of each. Frozen: breaks old files."""
-
-_MAX_MODELLED_BITS, _MAX_NUMBER_BITS = 24, 55
-"""Largest bit length that is coded with models only, and largest bit length of a number. Frozen: breaks old files."""
-
+CONTEXTS_PER_BIT, CONTEXT_VALUES = 5, SIZE_LEVELS * SIZE_LEVELS  # of a bit, and values of each; frozen
+_MAX_MODELLED_BITS, _MAX_NUMBER_BITS = 24, 55  # largest bit lengths, coded with models only and of a number; frozen
 POSITION_COUNT = 2 * _MAX_MODELLED_BITS  # number of modelled questions about a number; frozen
 
 _MAX_ROUNDED_NUMBER = 2.0**54

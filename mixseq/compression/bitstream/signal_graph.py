@@ -27,9 +27,7 @@ MAX_NEIGHBOURS = 12  # largest number of neighbours that predict a node; frozen
 NEIGHBOUR_COUNTS = MAX_NEIGHBOURS + 1  # number of possible neighbour counts of a node: 0 to `MAX_NEIGHBOURS`; frozen
 MAX_REMOVED_DEGREE = 6  # largest number of neighbours of a removed node, unless all nodes have more; frozen
 MAX_ROOT_NEIGHBOURS = 6  # number of earlier roots that predict a node without neighbours; frozen
-
-_HUB_DEGREE_RATIO = 32
-"""Degree ratio, neighbour to removed node, above which shared neighbours are found by bisection. Free: time only."""
+_HUB_DEGREE_RATIO = 32  # degree ratio, neighbour to removed node, from which bisection finds shared ones; free: time
 
 
 @compiled

@@ -52,8 +52,7 @@ from mixseq.segmentation.methods import segment
 from mixseq.sequence.sequence import FrameStore
 from mixseq.types import Float, Index
 
-MAX_TABLE_SIDE = 3000
-"""Largest smaller side of a table for principal components; from larger tables, evenly spaced frames are used."""
+MAX_TABLE_SIDE = 3000  # largest smaller side of a table for components; from larger ones, evenly spaced frames are used
 
 
 @dataclass(frozen=True, eq=False)

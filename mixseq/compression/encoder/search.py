@@ -61,13 +61,9 @@ def coarsen_mesh(faces: NDArray[np.integer], vertex_count: int, max_vertices: in
     return vertices, edges[:, [0, 1, 1]]
 
 
-MAX_SHAPES_BIT_RATIO = 1.65
-"""Ratio of bits before prediction, shapes to trajectories, up to which shapes are tried; prediction favours shapes."""
-
+MAX_SHAPES_BIT_RATIO = 1.65  # ratio of bits before prediction, shapes to trajectories, up to which shapes are tried
 PART_COUNTS = (3, 6, 12)  # numbers of parts that are tried
-
-COARSE_VERTICES, LARGE_MESH_RATIO = 8000, 1.5
-"""Number of vertices of the coarse mesh, and multiple of it above which meshes are compared on the coarse mesh."""
+COARSE_VERTICES, LARGE_MESH_RATIO = 8000, 1.5  # vertices of the coarse mesh, and multiple above which it is used
 
 BASIS_KINDS: tuple[BasisKind, ...] = ("trajectories", "shapes")
 
@@ -174,14 +170,9 @@ STEP_TOLERANCE = 1e-3
 """Relative distance of steps, one that meets the target and one that does not, at which the search ends."""
 
 SIZE_EXPONENT = 0.4  # approximate exponent e of the sizes: size is proportional to error^-e
-
-INITIAL_ERROR = 0.002
-"""Initial error of the search for a size, relative to the total deviation of vertices from centroids."""
-
+INITIAL_ERROR = 0.002  # initial error of the search for a size, relative to the deviation of vertices from centroids
 INITIAL_RMS_ERROR = 0.42  # initial root mean square error of the search for a bound, relative to the bound
-
-MAX_ERROR = 0.2
-"""Largest error at which candidates are compared in the search for a size, relative to the same deviation."""
+MAX_ERROR = 0.2  # largest error at which candidates are compared in the search for a size, relative to that deviation
 
 MAX_RESTARTS, RESTART_RATIO, MAX_RESTART_RATIO = 4, 3.0, 100.0
 """Restarts of the search for a size: largest number, smallest ratio of errors for one, largest change of the error."""
@@ -202,10 +193,7 @@ Of 23 sequences, one part was smallest above this ratio; several parts were smal
 """
 
 INITIAL_ERROR_RATIO = 0.9  # assumed ratio of actual to expected error in the first trial
-
-ALGEBRAIC_PRECISION = 1e-5
-"""Relative distance from the target below which errors are measured on frames, as computed errors are less accurate."""
-
+ALGEBRAIC_PRECISION = 1e-5  # relative distance from the target below which errors are measured on frames: more accurate
 MIN_RELATIVE_ERROR = 1e-9  # smallest error relative to the target; smaller errors are clamped to this value
 
 

@@ -28,16 +28,10 @@ from mixseq.types import Float, Index, Mask
 _WIDE_SEARCH, _NARROW_SEARCH = (100, 0.2, 12.0), (12, 0.05, 24.0)
 """Number of candidates, largest distance of their shapes (in logarithms), and least number of bits a region saves."""
 
-_MIN_ERROR_BITS = 8.0
-"""Least number of bits of a polygon's errors for which the polygon is tested as the start of a copy."""
-
-_MAX_TESTED_POLYGONS = 4096
-"""Largest number of tested polygons, to bound the time. Polygons with the largest errors are preferred."""
-
+_MIN_ERROR_BITS = 8.0  # least number of bits of a polygon's errors for which it is tested as the start of a copy
+_MAX_TESTED_POLYGONS = 4096  # largest number of tested polygons, those with the largest errors, to bound the time
 _SAMPLED_POLYGONS = 256  # number of polygons examined to estimate the saving of a candidate
-
-_COPY_TOLERANCE = 6.0, 0.01
-"""Tolerance of a copied node: in steps, and relative to the distance of its image from the first image."""
+_COPY_TOLERANCE = 6.0, 0.01  # of a copied node: in steps, and relative to its image's distance from the first image
 
 
 class _Search(NamedTuple):
