@@ -412,7 +412,8 @@ def _locate_vertices(triangles: Index, source: TriangleMesh, target: TriangleMes
         sums[1, :, k] = np.bincount(vertices, areas * source.face_normals[source_faces, k], vertex_count)
     matched_vertices = np.flatnonzero(corner_counts > 0)
     mean_points, normals = sums[:, matched_vertices] / total_areas[matched_vertices, None]
-    closest, barycentric = _closest_facing(source, mean_points, normals)
+    search = ClosestPointQuery.from_mesh(source.points, source.faces)
+    closest, barycentric = search.query_facing(mean_points, normals)
     corners = np.full((vertex_count, 3), -1)
     corners[matched_vertices], weights[matched_vertices] = source.faces[closest], barycentric
     source_corners, corner_index = source.faces[source_faces], np.tile(np.arange(3), len(mapped_faces))
@@ -467,10 +468,10 @@ def _locate_faces(source: TriangleMesh, target: TriangleMesh, corners: Index, we
     if remaining.size and len(source.faces):
         mapped_points = np.einsum("vk,vkc->vc", weights, source.points[corners])
         normals = np.einsum("vk,vkc->vc", weights, source.vertex_normals[corners])
-        source_faces[remaining] = _closest_facing(
-            source,
-            mapped_points[triangles[remaining]].mean(axis=1),
-            normals[triangles[remaining]].sum(axis=1),
+        corners = triangles[remaining]
+        search = ClosestPointQuery.from_mesh(source.points, source.faces)
+        source_faces[remaining] = search.query_facing(
+            mapped_points[corners].mean(axis=1), normals[corners].sum(axis=1)
         )[0]
     return source_faces
 
@@ -488,18 +489,6 @@ def _find_equal_triangles(source: Index, queries: Index) -> Index:
         key_matches = face_of_key[key_ids[len(source) :]]
         matches = np.where(key_matches >= 0, key_matches, matches)
     return matches
-
-
-def _closest_facing(source: TriangleMesh, points: Float, normals: Float) -> tuple[Index, Float]:
-    """Return the closest triangles that face the same way, or else the closest of any, and barycentric weights."""
-    nearest = ClosestPointQuery.from_mesh(source.points, source.faces)
-    closest = nearest.query(points, normals)
-    faces, weights = closest.faces.copy(), closest.weights.copy()
-    unmatched = np.flatnonzero(faces < 0)
-    if unmatched.size:
-        closest_any = nearest.query(points[unmatched])
-        faces[unmatched], weights[unmatched] = closest_any.faces, closest_any.weights
-    return faces, weights
 
 
 MIN_EXAMINED_MARKERS = 10  # smallest number of markers for a registration with meaningful residuals

@@ -12,11 +12,14 @@ from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting import registration
 from mixseq.retargeting.markers import Markers, fit_similarity, pair_components
 from mixseq.retargeting.registration import (
+    DataTerm,
+    Deformation,
     Energy,
     SoftConstraints,
     nearest_similarities,
     register,
 )
+from mixseq.shells.solvers import Factor
 from mixseq.types import Float
 from tests.meshes import Mesh, bent, grid, joined, rotation, topology_of, torus, tube
 
@@ -58,8 +61,10 @@ def test_mirrored_points_get_a_rotation() -> None:
     assert np.linalg.det(found.rotation) == pytest.approx(1.0)
 
 
-def test_a_smooth_warp_is_found() -> None:
+@pytest.mark.parametrize("coarse_vertices", [3000, 120])
+def test_a_smooth_warp_is_found(monkeypatch: pytest.MonkeyPatch, coarse_vertices: int) -> None:
     """A tube that widens and winds: no vertex is further from where it went than a third of an edge."""
+    monkeypatch.setattr(registration, "COARSE_VERTICES", coarse_vertices)
     z = TUBE[0][:, 2:]
     points = TUBE[0] * [1.0, 1.0, 1.1] * (1 + 0.1 * z * [1, 1, 0])
     points[:, 0] += 0.3 * np.sin(z[:, 0])
@@ -77,6 +82,24 @@ def test_a_sharp_bend_is_covered() -> None:
     assert distances.max() < 0.02
     error = np.linalg.norm(result - points, axis=1) / diagonal(points)
     assert error.max() < 0.08  # two edges
+
+
+def test_affine_deformations_of_decimated_components_are_interpolated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of two concentric tubes, which share no marker, takes along its own vertices exactly."""
+    monkeypatch.setattr(registration, "COARSE_VERTICES", 200)
+    mesh = surface(joined(TUBE, tube(10, 25, radius=0.7)))
+    marked, is_inner = np.concatenate([MARKED, MARKED + len(TUBE[0])]), np.arange(len(mesh.points)) < len(TUBE[0])
+    markers = Markers(marked, marked)
+    fine = DataTerm.from_pairings(mesh, mesh, pair_components(mesh.topology, mesh.topology, markers), markers)
+    coarse = fine.decimated()
+    assert len(coarse.vertices) == 200 and np.isin(marked, coarse.vertices).all()
+    np.testing.assert_array_equal(coarse.vertices[coarse.markers.corners[:, 0]], marked)
+    maps = np.where(is_inner[:, None, None], np.diag([1.0, 2.0, 3.0]), rotation((0.3, -1.2, 2.0)))
+    points = np.einsum("vij,vj->vi", maps, mesh.points) + np.array([5.0, 6.0, 7.0])
+    rows = coarse.vertices
+    found = fine.interpolate(coarse, Deformation(points[rows], maps[rows], Factor(np.zeros_like)))
+    np.testing.assert_allclose(found.points, points, atol=1e-12)
+    np.testing.assert_allclose(found.maps, maps, atol=1e-12)
 
 
 def test_energy_is_invariant_to_similarities() -> None:

@@ -10,7 +10,7 @@ import pytest
 import mixseq
 from mixseq.creature import walk_cycle
 from mixseq.mesh.topology import Topology
-from mixseq.retargeting.bodies import Body, subdivide
+from mixseq.retargeting.bodies import CoarseBody, subdivide
 from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.proposals import (
     Poses,
@@ -95,8 +95,8 @@ def test_markers_of_moved_copies_are_exact() -> None:
 
 
 @cache
-def bodies() -> tuple[Body, Body]:
-    first, second = (Body.from_poses(*poses, 700, NOTHING) for poses in walking())
+def bodies() -> tuple[CoarseBody, CoarseBody]:
+    first, second = (CoarseBody.from_poses(*poses, 700, NOTHING) for poses in walking())
     return first, second
 
 
@@ -125,7 +125,7 @@ def test_handedness_changes_its_sign_in_a_mirror_and_not_with_the_pose() -> None
     mirrored = poses * [1, 1, -1], Topology(reversed_faces, topology.vertex_count)
     whole = len(poses[0])  # not decimated, so that all have the same vertices
     body, mirror, other_pose = (
-        Body.from_poses(some, its_topology, whole, NOTHING)
+        CoarseBody.from_poses(some, its_topology, whole, NOTHING)
         for some, its_topology in ((poses, topology), mirrored, (poses[2:], topology))
     )
     tips = on_bones(short(), *TIP_BONES)
@@ -177,5 +177,5 @@ def test_known_markers_are_kept_and_followed() -> None:
 
 def test_no_map_has_too_few_tips() -> None:
     points, faces = tube(12, 30)
-    body = Body.from_poses(points[None], topology_of((points, faces)), 700, NOTHING)
+    body = CoarseBody.from_poses(points[None], topology_of((points, faces)), 700, NOTHING)
     assert find_best_map(body, body) is None
