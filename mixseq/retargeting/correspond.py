@@ -37,7 +37,6 @@ from mixseq.retargeting.checks import (
     check_facing,
     check_markers,
     check_orientation,
-    check_rest_frame,
     find_suspicious_markers,
 )
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_components
@@ -86,7 +85,7 @@ class CorrespondenceQuality:
 
 def match(registered: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairing, ...]) -> Matches:
     """Match the vertices and triangles of a target to a registered source by closest points."""
-    vertex_count, face_count = len(target.points), len(target.faces)
+    vertex_count = len(target.points)
     # Query points are vertices, then centroids of triangles, in the order of the surface graph's nodes.
     queries = np.concatenate([target.points, target.centroids])
     normals = np.concatenate([target.vertex_normals, target.face_normals])
@@ -117,14 +116,7 @@ def match(registered: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairin
         faces[unmatched_ids], weights[unmatched_ids] = closest.faces, closest.weights
     vertex_faces = faces[:vertex_count]
     corners = np.where(vertex_faces[:, None] >= 0, registered.faces[vertex_faces], -1)
-    correspondence = Correspondence(
-        (len(registered.points), len(registered.faces)),
-        (vertex_count, face_count),
-        corners,
-        weights[:vertex_count],
-        faces[vertex_count:],
-        target.leaders(vertex_faces >= 0),
-    )
+    correspondence = _with_leaders(registered, target, corners, weights[:vertex_count], faces[vertex_count:])
     has_vertex_match, has_face_match = is_matched[:vertex_count], is_matched[vertex_count:]
     return Matches(correspondence, has_vertex_match, has_face_match, distances[:vertex_count])
 
@@ -172,6 +164,14 @@ def assess(
         np.linalg.norm(marker_offsets, axis=1) / diagonal,
         markers,
     )
+
+
+def _with_leaders(
+    source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, faces: Index
+) -> Correspondence:
+    """Return a correspondence in which vertices without corners follow leaders."""
+    sizes = ((len(mesh.points), len(mesh.faces)) for mesh in (source, target))
+    return Correspondence(*sizes, corners, weights, faces, target.leaders((corners >= 0).all(axis=1)))
 
 
 def _surface_graph(mesh: TriangleMesh) -> sparse.csr_array:
@@ -267,14 +267,15 @@ def correspond_and_assess(
     steps: int = STIFFNESS_STEPS,
 ) -> tuple[Correspondence, CorrespondenceQuality]:
     """Find a correspondence like `correspond`, and return it with its quality."""
-    check_rest_frame(source, rest)
+    if not -source.frame_count <= rest < source.frame_count:
+        raise SettingsError(f"the source has no frame {rest}; the rest pose is one of 0 ... {source.frame_count - 1}")
     markers = markers.renumbered(source, target)
     for side, sequence in (("source", source), ("target", target)):
         if not len(sequence.faces):
             raise SettingsError(f"the {side} has no faces; a correspondence is between surfaces")
     source_mesh = _triangle_mesh(source.points[rest], source.faces)
     target_mesh = _triangle_mesh(target.points[0], target.faces)
-    check_markers(markers, source_mesh.points, target_mesh.points, source_mesh.topology, target_mesh.topology)
+    check_markers(markers, source_mesh, target_mesh)
     pairings = pair_components(source_mesh.topology, target_mesh.topology, markers)
     _check_areas(source_mesh, target_mesh, pairings)
     check_orientation(source_mesh, target_mesh)
@@ -447,14 +448,7 @@ def _complete_map(
     open_faces = np.flatnonzero(is_whole & (faces < 0))
     faces = np.where(is_whole, faces, -1)
     faces[open_faces] = _locate_faces(source, target, corners, weights, open_faces)
-    return Correspondence(
-        (len(source.points), len(source.faces)),
-        (len(target.points), len(target.faces)),
-        corners,
-        weights,
-        faces,
-        target.leaders(is_matched),
-    )
+    return _with_leaders(source, target, corners, weights, faces)
 
 
 def _locate_faces(source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, face_ids: Index) -> Index:

@@ -153,12 +153,9 @@ class DenseMap:
     score: float  # residuals of similarities; lower is better
     orientation: float  # share of the area on which the map preserves orientation
 
-    def contradicts(self, other: DenseMap) -> bool:
-        """Return whether a tip has another partner in the other map."""
-        return _contradict(self.pairs, other.pairs)
 
-
-def _contradict(pairs: Index, other_pairs: Index) -> bool:
+def contradict(pairs: Index, other_pairs: Index) -> bool:
+    """Return whether a tip has different partners in two maps of tips ``(k, 2)`` and ``(m, 2)``."""
     is_same = pairs[:, None] == other_pairs[None]
     return bool((is_same[..., 0] != is_same[..., 1]).any())
 
@@ -271,7 +268,7 @@ def find_best_map(first: CoarseBody, second: CoarseBody) -> tuple[DenseMap, floa
     """Find the dense map of the lowest score and its margin; return None with too few tips."""
     chosen: list[Index] = []
     for pairs in _rank_with_poses(first, second):
-        if sum(not _contradict(pairs, other) for other in chosen) < MAX_EQUIVALENT_MAPS:
+        if sum(not contradict(pairs, other) for other in chosen) < MAX_EQUIVALENT_MAPS:
             chosen.append(pairs)
         if len(chosen) == MAX_DENSE_MAPS:
             break
@@ -284,7 +281,7 @@ def find_best_map(first: CoarseBody, second: CoarseBody) -> tuple[DenseMap, floa
             if _key(pairs) not in maps:
                 maps[_key(pairs)] = extend_tip_map(first, second, pairs)
     best = min(maps.values(), key=lambda each: each.score)
-    rivals = [each.score for each in maps.values() if each.contradicts(best)]
+    rivals = [each.score for each in maps.values() if contradict(each.pairs, best.pairs)]
     return best, min(rivals, default=np.inf) - best.score
 
 

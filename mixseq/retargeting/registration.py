@@ -9,9 +9,6 @@ for Surface Registration*). Its constraints are
 - every target vertex, which attracts the closest point of the source that faces the same way, so that long features
   (humps, ears, hooves) are covered.
 
-On horse to camel and cat to lion it is no slower than trimesh's `nricp_sumner`, and over four times faster than
-`nricp_amberg`. Its distances from the target are a sixth of the distances of both, and it supports separate components.
-
 *The energy.* Unknowns are the new position p_i of every vertex i, and an affine map A_i of its neighbourhood. This form
 (embedded deformation, Sumner, Schmid and Pauly 2007) does not depend on the origin. With edges
 :math:`e_{ij} = x_j - x_i`,

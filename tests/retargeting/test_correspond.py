@@ -113,11 +113,6 @@ def test_a_frame_that_does_not_exist_is_refused() -> None:
         correspond(still(*BODY), still(*BODY), Markers(MARKED, MARKED), rest=1)
 
 
-def test_a_mesh_inside_out_is_refused() -> None:
-    with pytest.raises(SettingsError, match="inside out"):
-        correspond(still(*BODY), still(BODY[0], BODY[1][:, ::-1]), Markers(MARKED, MARKED))
-
-
 def test_inverted_meshes_are_refused_before_registration() -> None:
     """The volume of a closed mesh is negative if it is inside out."""
     told: list[int] = []

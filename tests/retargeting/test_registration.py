@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.nearest import ClosestPointQuery
-from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting import registration
 from mixseq.retargeting.markers import Markers, fit_similarity, pair_components
 from mixseq.retargeting.registration import (
@@ -21,16 +20,13 @@ from mixseq.retargeting.registration import (
 )
 from mixseq.shells.solvers import Factor
 from mixseq.types import Float
-from tests.meshes import Mesh, bent, grid, joined, rotation, topology_of, torus, tube
+from tests.meshes import Mesh, bent, grid, joined, rotation, torus, tube
+from tests.retargeting.pairs import surface
 
 pytestmark = pytest.mark.slow
 
 TUBE = tube(10, 25)
 MARKED = np.array([0, 5, 62, 67, 120, 125, 182, 187, 243, 248, 250, 251])
-
-
-def surface(mesh: Mesh) -> TriangleMesh:
-    return TriangleMesh(mesh[0], topology_of(mesh))
 
 
 def registered(source: Mesh, target: Mesh, marked: NDArray[np.int64] = MARKED) -> Float:
@@ -190,12 +186,6 @@ def test_components_match_their_counterparts() -> None:
     marked = np.concatenate([MARKED, MARKED + len(inner[0])])
     result = registered(source, target, marked)
     np.testing.assert_allclose(result, target[0], atol=0.01)
-
-
-def test_registration_is_deterministic() -> None:
-    target = bent(TUBE[0], 1.0), TUBE[1]
-    first, second = registered(TUBE, target), registered(TUBE, target)
-    assert np.array_equal(first, second)
 
 
 def test_progress_is_reported() -> None:
