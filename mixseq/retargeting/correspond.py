@@ -77,10 +77,10 @@ class CorrespondenceQuality:
     marker_distances: Float  # (n,) distances of registered source markers from target markers
     markers: Markers  # markers of the registration
 
-    def worst_markers(self, count: int) -> list[tuple[str, float]]:
-        """Return names and distances of the markers with the largest distances, the largest first."""
-        order = np.argsort(-self.marker_distances, kind="stable")[:count]
-        return [(self.markers.name(int(k)), float(self.marker_distances[k])) for k in order]
+    @property
+    def worst_marker(self) -> int:
+        """Marker with the largest distance."""
+        return int(self.marker_distances.argmax())
 
 
 def match(registered: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairing, ...]) -> Matches:

@@ -45,7 +45,7 @@ from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.markers import Markers, Pairing, fit_similarity
+from mixseq.retargeting.markers import Markers, Pairing, align_similarly
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.shells.solvers import Analysis, Factor, analyse
 from mixseq.types import Float, Index, IntArray
@@ -215,10 +215,10 @@ def register(
     steps: int = STIFFNESS_STEPS,
 ) -> Float:
     """Deform the paired components of a source onto a target in a similar pose; return the vertices ``(V, 3)``."""
-    similarity = fit_similarity(source.points[markers.source], target.points[markers.target])
+    similar = align_similarly(source.points, source.points[markers.source], target.points[markers.target])
     # Centred coordinates in diagonals of the target avoid rounding errors far from the origin.
     diagonal, centre = target.diagonal, target.centroids.mean(axis=0)
-    aligned = TriangleMesh((similarity(source.points) - centre) / diagonal, source.topology)
+    aligned = TriangleMesh((similar - centre) / diagonal, source.topology)
     normalised_target = TriangleMesh((target.points - centre) / diagonal, target.topology)
     fine = DataTerm.from_pairings(aligned, normalised_target, pairings, markers)
     term = fine.decimated()

@@ -196,15 +196,13 @@ def test_flipped_faces_are_counted() -> None:
     assert found.filled_face_count == 1
 
 
-def test_the_worst_markers_are_named() -> None:
+def test_the_worst_marker_is_found() -> None:
     mesh = tube(8, 12)
     markers = Markers.from_pairs([(0, 0), (1, 3), (2, 2)], ("nose", "left ear", "tail"))
     found = quality(mesh, mesh, markers)
-    (name, distance), second = found.worst_markers(2)
-    assert name == "'left ear' (1 -> 3)"
+    assert found.worst_marker == 1
     gap = np.linalg.norm(mesh[0][1] - mesh[0][3]) / np.linalg.norm(np.ptp(mesh[0], axis=0))
-    assert distance == pytest.approx(gap)
-    assert second[1] == 0.0
+    assert found.marker_distances == pytest.approx([0, gap, 0])
 
 
 # Maps that somebody made become correspondences, complete and exact where they can be
