@@ -170,8 +170,9 @@ def _with_leaders(
     source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, faces: Index
 ) -> Correspondence:
     """Return a correspondence in which vertices without corners follow leaders."""
-    sizes = ((len(mesh.points), len(mesh.faces)) for mesh in (source, target))
-    return Correspondence(*sizes, corners, weights, faces, target.leaders((corners >= 0).all(axis=1)))
+    source_size, target_size = ((len(mesh.points), len(mesh.faces)) for mesh in (source, target))
+    leaders = target.leaders(np.asarray((corners >= 0).all(axis=1)))
+    return Correspondence(source_size, target_size, corners, weights, faces, leaders)
 
 
 def _surface_graph(mesh: TriangleMesh) -> sparse.csr_array:

@@ -19,7 +19,7 @@ def surface(mesh: Mesh) -> TriangleMesh:
 def subdivided(mesh: Mesh) -> Mesh:
     """Every triangle cut into four, the middle one last; the points it had come first, then middles of edges."""
     poses, topology = subdivide(mesh[0][None], topology_of(mesh))
-    return poses[0], topology.faces
+    return np.asarray(poses[0], np.float64), topology.faces.astype(np.int64)
 
 
 def to_subdivided(mesh: Mesh) -> Correspondence:

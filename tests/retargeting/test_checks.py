@@ -41,7 +41,7 @@ def creature() -> Float:
 
 def cloud(points: Float) -> TriangleMesh:
     """Points in triangles, so that none is unused."""
-    return surface((points, np.arange(len(points))[:, None] * [1, 1, 1]))
+    return surface((points, np.repeat(np.arange(len(points))[:, None], 3, axis=1)))
 
 
 def ring() -> tuple[Float, Index]:
