@@ -43,7 +43,7 @@ from mixseq.mesh.rotations import rotate_vectors
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import GradientTransfer, average_matrices, normalise_rows
 from mixseq.segmentation.joints import Decomposition, Joint
-from mixseq.shells.fitting import Patch, ShellReport, ShellSettings, SoftConstraint, rebuild_patch
+from mixseq.shells.fitting import Patch, ShellSettings, fit_patch_near
 from mixseq.types import Float, Index, Int32
 
 BEND_CONCENTRATION = 4.0
@@ -206,11 +206,11 @@ class JointSolver:
     def _hinges(self) -> Int32:
         return self.topology.hinges[self.joints.hinge_ids]
 
-    def solve(self, frame: JointFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Return the mesh ``(V, 3)`` of a frame and a report for every joint; vertices shared by parts are averaged."""
+    def solve(self, frame: JointFrame, settings: ShellSettings) -> Float:
+        """Return the mesh ``(V, 3)`` of a frame; vertices shared by parts are averaged."""
         points = self._pose_parts(frame)
         rotations, translations = self._relative_motions(frame.rotations, frame.translations)
-        reports, joints = [], self.joints
+        joints = self.joints
         slices = zip(joints.edge_slices, joints.hinge_slices, joints.vertex_slices, strict=True)
         systems = zip(joints.joints, joints.patches, slices, self._skins, strict=True)
         for joint, patch, (edges, hinges, free), skin in systems:
@@ -218,18 +218,16 @@ class JointSolver:
             guess = skin.deform(rotations, translations) + offsets
             points[joint.vertices[patch.free_ids]] = guess
             skinned_angles = dihedral_angles(points, self._hinges[hinges])
-            rebuilt, report = rebuild_patch(
+            points[joint.vertices] = fit_patch_near(
                 patch,
                 frame.lengths[edges],
                 limit_bends(frame.angles[hinges], skinned_angles),
                 frame.length_weights[edges],
                 points[joint.vertices],
+                frame.offset_weights[free],
                 settings,
-                SoftConstraint(guess, frame.offset_weights[free]),
             )
-            points[joint.vertices[patch.free_ids]] = rebuilt[patch.free_ids]
-            reports.append(report)
-        return points, reports
+        return points
 
     def skinning_offsets(self, rotations: Float, translations: Float, points: Float) -> Float:
         """Return the offsets ``(F, 3)`` of a frame's free vertices from their skinned positions (`HarmonicSkin`).

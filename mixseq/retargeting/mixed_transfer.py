@@ -198,7 +198,7 @@ class MixedTransfer(PickledWithoutCaches):
         """Return the target ``(V', 3)`` with posed parts and solved joints."""
         weights = length_weights(self._rest_lengths)
         frame = JointFrame(lengths, angles, weights, part_vertices, *poses, offsets, self._offset_weights)
-        return self.joint_solver.solve(frame, self.settings)[0] * self.gradients.target.scale
+        return self.joint_solver.solve(frame, self.settings) * self.gradients.target.scale
 
     @cached_property
     def _rest_lengths(self) -> Float:
