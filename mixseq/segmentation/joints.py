@@ -164,7 +164,7 @@ def decompose(
     widths = np.array([_largest_width(depths, mask, core) for mask in part_masks], dtype=np.int64)
 
     kept = [mask & (depths[width] <= 1) for mask, width in zip(part_masks, widths, strict=True)]
-    near_boundary = np.stack([(depth >= 1)[topology.faces].any(axis=1) for depth in depths])
+    near_boundary = np.stack([(depth >= 1).take(topology.faces.T).any(axis=0) for depth in depths])
     in_joint = near_boundary[widths[part_of_face], np.arange(len(topology.faces))]
     if motion is not None:
         in_joint &= ~motion.degenerate_mask
@@ -228,7 +228,8 @@ def _return_to_parts(topology: Topology, part_of_face: Index, kept: list[Mask], 
 
 def _mark_rigid_faces(topology: Topology, kept: list[Mask]) -> Mask:
     """Mark the faces whose corners all belong to one part."""
-    return np.asarray(np.logical_or.reduce([mask[topology.faces].all(axis=1) for mask in kept]))
+    corners = topology.faces.T
+    return np.asarray(np.logical_or.reduce([mask.take(corners).all(axis=0) for mask in kept]))
 
 
 def _mark_contact_vertices(topology: Topology, patches: Index) -> Mask:
