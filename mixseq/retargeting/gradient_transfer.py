@@ -108,9 +108,25 @@ class GradientTransfer(PickledWithoutCaches):
         triangles = self.source.complete_triangles(points.astype(np.float64) / self.source.scale)
         return triangles @ self.source.inverse_triangles
 
-    def transfer_frame(self, points: FloatArray) -> Float:
-        """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source."""
-        source_points = points.astype(np.float64) / self.source.scale
+    def transfer_frames(self, points: FloatArray) -> Float:
+        """Return the target ``(B, V', 3)`` for frames ``(B, V, 3)`` of the source, with one back-substitution."""
+        system, frames = self.target.poisson_system, points.astype(np.float64) / self.source.scale
+        rotations, right_hand_sides = [], []
+        for frame in frames:
+            frame_rotations, sides = self._deform_sides(frame)
+            rotations.append(frame_rotations)
+            right_hand_sides.append(system.right_hand_side(sides))
+        solution = system.factor.solve(np.concatenate(right_hand_sides, axis=1)).reshape(-1, len(frames), 3)
+        rows = np.zeros((len(system.fixed_mask), 3))
+        result = np.empty((len(frames), self.target.vertex_count, 3))
+        for number, frame in enumerate(frames):
+            # Sides are linear in vertices, so that these are rotated instead.
+            rows[system.unknown_ids] = solution[:, number] @ self.alignment.rotation.T
+            result[number] = self._place_pieces(rows, frame, rotations[number])
+        return result * self.target.scale
+
+    def _deform_sides(self, source_points: Float) -> tuple[Float, Float]:
+        """Return the rotations of the source around holders, and deformed sides ``(3F', 3)`` in the source's axes."""
         triangles = self.source.complete_triangles(source_points)
         face_ids, means = self._leader_means
         gradients = triangles[face_ids] @ self.source.inverse_triangles[face_ids]
@@ -119,9 +135,7 @@ class GradientTransfer(PickledWithoutCaches):
         matrix_ids, maps = self._side_maps
         matrices, sides = np.concatenate([triangles, leader_rotations]), np.empty((3 * len(matrix_ids), 3))
         deform_sides(matrices, matrix_ids, maps, sides)
-        # Sides are linear in vertices, so that these are rotated instead.
-        piece_vertices = self.target.poisson_system.solve(sides) @ self.alignment.rotation.T
-        return self._place_pieces(piece_vertices, source_points, holder_rotations) * self.target.scale
+        return holder_rotations, sides
 
     def _place_pieces(self, piece_vertices: Float, source_points: Float, holder_rotations: Float) -> Float:
         """Translate and attach the pieces ``(N, 3)``, and return the target ``(V', 3)`` in the unit of its space."""

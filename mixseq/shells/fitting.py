@@ -367,12 +367,12 @@ def fit_patch_near(
     position_weights: Float,
     settings: ShellSettings,
 ) -> Float:
-    """Return the vertices ``(n, 3)`` of a patch fitted to lengths and angles as `rebuild_patch`, near positions.
+    """Return the vertices ``(n, 3)`` of a patch fitted to lengths, of at least 0, and angles as `rebuild_patch`.
 
-    Distances of free vertices from `positions` ``(n, 3)``, the start, have weights ``(f,)``, in inverse units.
+    Distances of the free vertices from `positions` ``(n, 3)``, the start, have weights ``(f,)`` in inverse units.
     """
     points, rows = np.array(positions, dtype=np.float64), patch.equations
-    elements = rows.edges, rows.hinges, clamp_lengths(lengths, weights), angles, weights, settings.bending
+    elements = rows.edges, rows.hinges, lengths, angles, weights, settings.bending
     limits = settings.iterations, settings.tolerance, settings.exact, settings.accuracy
     energy = fit_near(points, *elements, rows.free_ids, rows.free_index, position_weights, *limits)
     if not np.isfinite(energy):
