@@ -306,6 +306,9 @@ MAX_CONVERGED_DAMPING = 1e-2
 LEVEL_ENERGY_RATIO = 0.1
 """Ratio of new to old energy below which the energy has not levelled off, as near an exact fit."""
 
+MAX_DECAY = 0.1
+"""Largest ratio of successive gains with which the next gain is taken to be smaller by this ratio, and not computed."""
+
 CONJUGATE_GRADIENT_TOLERANCE = 0.05
 """Relative residual at which conjugate gradients stop; the next Gauss-Newton step corrects the error."""
 
@@ -348,7 +351,7 @@ def fit_near(
     gradient, step, offsets = np.empty((count + 1, 3)), np.empty((count + 1, 3)), np.zeros((count, 3))
     blocks, work = np.empty((count + 1, 6)), np.empty((4, count + 1, 3))
     energy = shell_residuals(x, edges, hinges, lengths, angles, weights, bending, residuals)
-    damping = 1e-6
+    damping, previous_gain = 1e-6, 0.0
     for _ in range(iterations):
         if not exact * exact < energy < np.inf:
             break
@@ -390,8 +393,8 @@ def fit_near(
             for i in range(3):
                 offsets[v, i] += step[v, i]
         gain_ratio, has_levelled = (energy - new_energy) / gain, new_energy > LEVEL_ENERGY_RATIO * energy
-        energy = new_energy
-        if gain <= tolerance * energy:
+        energy, decay, previous_gain = new_energy, gain / previous_gain, gain
+        if gain * (decay if decay <= MAX_DECAY else 1.0) <= tolerance * energy:
             break
         if has_levelled and damping <= MAX_CONVERGED_DAMPING and longest <= accuracy:
             break
