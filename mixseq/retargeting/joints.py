@@ -37,7 +37,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths, wrap_angles
+from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths, scatter_add, wrap_angles
 from mixseq.mesh.rigid import kabsch, nearest_rotations
 from mixseq.mesh.rotations import rotate_vectors
 from mixseq.mesh.topology import Topology
@@ -120,7 +120,7 @@ class HarmonicSkin:
         """Skin the free vertices ``(F, 3)`` by motions ``x -> R x + t`` of all parts from the reference frame."""
         motions = np.concatenate([rotations, translations[:, :, None]], axis=2).reshape(-1, 12)
         blended = (self.weights @ motions).reshape(-1, 3, 4)
-        return rotate_vectors(blended[:, :, :3], self.rest) + blended[:, :, 3]
+        return np.asarray(rotate_vectors(blended[:, :, :3], self.rest) + blended[:, :, 3])
 
     @cached_property
     def main_part(self) -> Index:
@@ -176,13 +176,12 @@ class JointSolver:
         return SolvedJoints.from_decomposition(self.topology, self.decomposition)
 
     @cached_property
-    def _part_rows(self) -> tuple[Index, Index, Float]:
-        """Part and vertex ``(N,)`` of every row of `part_vertices`, and the number of rows ``(V,)`` per vertex."""
+    def _part_rows(self) -> tuple[list[slice], Index, Float]:
+        """Rows of the parts in `part_vertices`, vertices ``(N,)`` of the rows, and row counts ``(V,)`` of vertices."""
         parts = self.decomposition.parts
         vertex = np.concatenate(parts)
         copy_counts = np.bincount(vertex, minlength=self.topology.vertex_count)
-        part = np.repeat(np.arange(len(parts)), [len(vertices) for vertices in parts])
-        return part, vertex, np.maximum(copy_counts, 1).astype(np.float64)
+        return _slices([len(part) for part in parts]), vertex, np.maximum(copy_counts, 1).astype(np.float64)
 
     @cached_property
     def _reference_poses(self) -> tuple[Float, Float]:
@@ -239,10 +238,10 @@ class JointSolver:
 
     def _pose_parts(self, frame: JointFrame) -> Float:
         """Return the vertices ``(V, 3)`` of the posed parts: averaged if parts share them, zero if in no part."""
-        part, vertex, copy_counts = self._part_rows
-        positions = rotate_vectors(frame.rotations[part], frame.part_vertices) + frame.translations[part]
-        sums = [np.bincount(vertex, column, minlength=len(copy_counts)) for column in positions.T]
-        return np.stack(sums, axis=1) / copy_counts[:, None]
+        slices, vertex, copy_counts = self._part_rows
+        poses = zip(slices, frame.rotations, frame.translations, strict=True)
+        positions = [frame.part_vertices[rows] @ rotation.T + centre for rows, rotation, centre in poses]
+        return scatter_add(np.concatenate(positions), vertex, len(copy_counts)) / copy_counts[:, None]
 
     def _relative_motions(self, rotations: Float, translations: Float) -> tuple[Float, Float]:
         """Return the motions ``x -> R x + t`` of the parts from the reference frame to given poses."""

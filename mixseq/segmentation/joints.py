@@ -243,8 +243,8 @@ def _mark_contact_vertices(topology: Topology, patches: Index) -> Mask:
         links.append(3 * sides + at_end.argmax(axis=2))  # corners of both faces at this end of the hinge
     corners = np.flatnonzero(np.repeat(in_joint, 3))
     fan = connected_components(len(corners), np.searchsorted(corners, np.concatenate(links)))
-    vertex_and_fan = np.stack([topology.faces.reshape(-1)[corners], fan], axis=1)
-    vertex_of_fan = np.unique(vertex_and_fan, axis=0)[:, 0]
+    fan_count = int(fan.max(initial=0)) + 1
+    vertex_of_fan = np.unique(topology.faces.reshape(-1)[corners].astype(np.int64) * fan_count + fan) // fan_count
     return np.asarray(np.bincount(vertex_of_fan, minlength=topology.vertex_count) > 1)
 
 

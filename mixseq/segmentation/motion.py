@@ -230,9 +230,9 @@ class Clusters:
             batch = stale[start : start + self._batch_size]
             self._costs[batch] = self._average_costs(batch, rounds)[: len(self.labels), : len(batch)].T
         labels, lowest = np.zeros(len(self.labels), dtype=np.int64), self._costs[0].copy()
-        choose_lowest(self._costs, labels, lowest)
+        choose_lowest(self._costs[: np.flatnonzero(self._sizes)[-1] + 1], labels, lowest)
         self._move(labels)
-        return lowest
+        return np.asarray(lowest)
 
     def seed(self, members: Index, cluster: int) -> None:
         """Move elements to a cluster."""

@@ -10,10 +10,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixseq.mesh.measure_kernels import Vector, angle, dot, length, opening, side, sides_and_normals
 from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.types import Float, Index, Int32, Mask
+
+Rows = NDArray[np.uint64]
+"""Unsigned indices, which save the check for negative ones."""
 
 MIN_DOUBLE = 2.2250738585072014e-308
 """Least positive double with full precision."""
@@ -309,7 +313,7 @@ LEVEL_ENERGY_RATIO = 0.1
 MAX_DECAY = 0.1
 """Largest ratio of successive gains with which the next gain is taken to be smaller by this ratio, and not computed."""
 
-CONJUGATE_GRADIENT_TOLERANCE = 0.05
+CONJUGATE_GRADIENT_TOLERANCE = 0.03
 """Relative residual at which conjugate gradients stop; the next Gauss-Newton step corrects the error."""
 
 MAX_CONJUGATE_GRADIENT_STEPS = 100
@@ -423,7 +427,7 @@ def _add_row(slope: Float, residual: float, row: int, gradient: Float, blocks: F
 
 @compiled
 def _solve_near(
-    system: tuple[Index, Index, Float, Float],
+    system: tuple[Rows, Rows, Float, Float],
     squares: Float,
     blocks: Float,
     damping: float,
@@ -483,7 +487,7 @@ def _solve_near(
 
 
 @force_inlined
-def _add_product(system: tuple[Index, Index, Float, Float], p: Float, q: Float) -> None:
+def _add_product(system: tuple[Rows, Rows, Float, Float], p: Float, q: Float) -> None:
     """Add the product of ``J^T J`` and p to q."""
     edge_rows, hinge_rows, edge_slopes, hinge_slopes = system
     for k in range(len(edge_rows)):
