@@ -64,7 +64,8 @@ class RoundingMonitor:
         for block in blocks:
             points = np.asarray(block)
             if points.ndim == 3 and points.size and points.dtype != np.float32 and not self._diagonal.fraction:
-                self._diagonal = reference_diagonal([points]) if np.isfinite(points).all() else self._diagonal
+                with np.errstate(all="ignore"):  # writers report points that are not finite with their vertex
+                    self._diagonal = reference_diagonal([points])
             yield block
             if not has_nodes:
                 for frame, own in enumerate(points, count):

@@ -141,8 +141,8 @@ def _entry(asset: Entry, result: Callable[[], Entry]) -> Entry:
     return entry
 
 
-def on_workers(workers: ClusterExecutor | None, progress: Progress) -> Work:
-    """Return a function that runs an asset on each worker of a cluster, or in processes of this machine."""
+def on_workers(workers: ClusterExecutor | ProcessPool | None, progress: Progress) -> Work:
+    """Return a function that runs an asset on each worker, by default in as many processes as there are threads."""
     from mixseq.runtime.parallel import thread_count
     from mixseq.runtime.processes import process_pool
 
@@ -402,6 +402,7 @@ def command(
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file; give the name of a folder")
     from mixseq.runtime.cluster import ClusterExecutor
+    from mixseq.runtime.processes import ProcessPool
 
     settings = settings or {"job": job, "between": [], "options": {}, "files": size_and_hash([])[1]}
     earlier = read_report(out).without_lost()
@@ -418,7 +419,7 @@ def command(
     except OSError as error:
         raise OutputError(f"cannot make the folder {out}: {error.strerror}; choose another one") from error
     with workers as mapped, progress_bar(quiet) as progress:
-        cluster = mapped if isinstance(mapped, ClusterExecutor) else None
+        cluster = mapped if isinstance(mapped, ClusterExecutor | ProcessPool) else None
         report = run(planned, earlier, out.resolve(), on_workers(cluster, progress), force)
     results = report.of(planned)
     if not quiet:

@@ -176,7 +176,6 @@ def command(
     still = still or "draco"
     claim(target)
     from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
-    from mixseq_io.verification import read_compressed
 
     start = perf_counter()
     error: Comparison | None = None
@@ -187,6 +186,8 @@ def command(
             chosen = {"parts": parts, **options.at_frames(timing, reader.header)}
             model = compressed(reader, aim | chosen, progress, still if web else None)
         elif web:
+            from mixseq_io.verification import read_compressed  # slow to import
+
             model = read_compressed(source)
         else:
             fitting = in_diagonals(fitting, reader, "tolerance")

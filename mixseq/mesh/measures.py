@@ -81,8 +81,7 @@ FAR_DIAGONALS = 4.0
 """Distance of a mesh from zero, in diagonals, beyond which its points are stored relative to an origin of their own."""
 
 
-NO_ORIGIN: Float = np.zeros(3)
-"""Origin of coordinates that are relative to zero."""
+NO_ORIGIN: Float = np.zeros(3)  # origin of coordinates that are relative to zero
 
 
 def choose_origin(points: FloatArray) -> Float:

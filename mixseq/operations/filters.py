@@ -46,8 +46,7 @@ from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float
 
-MAX_GAIN = 1000.0
-"""Largest magnitude of a gain."""
+MAX_GAIN = 1000.0  # largest magnitude of a gain
 
 
 @public
@@ -100,11 +99,8 @@ def check_gain(gain: float) -> None:
         raise SettingsError(f"gain is {gain}; a number from -{MAX_GAIN:g} to {MAX_GAIN:g} is expected")
 
 
-MIN_SMOOTHED_VALUES = 5
-"""Smallest number of values that a smoothing spline can be fitted to."""
-
-MAX_PERIOD_STEPS = 1e9
-"""Upper limit of the period / 2 pi, in mean time steps; the result is a straight line there."""
+MIN_SMOOTHED_VALUES = 5  # smallest number of values that a smoothing spline can be fitted to
+MAX_PERIOD_STEPS = 1e9  # upper limit of the period / 2 pi, in mean time steps; the result is a straight line there
 
 
 @public

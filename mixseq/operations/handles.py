@@ -57,14 +57,9 @@ DEFAULT_SOFTNESS = 5e-3
 MIN_HANDLES_OF_FREE_BODY = 3
 """Number of handles, the kept vertices included, from which on bodies move: three points determine a rigid motion."""
 
-SIGNAL_TOLERANCE = 1e-4
-"""Largest error of signals between sites, in diagonals."""
-
-MAX_SILENT_MISS = 0.01
-"""Distance of a handle from its target above which a warning is given, in diagonals."""
-
-RESIDUAL_RADIUS = 0.05
-"""Radius l of the displacement at exact handles, in diagonals."""
+SIGNAL_TOLERANCE = 1e-4  # largest error of signals between sites, in diagonals
+MAX_SILENT_MISS = 0.01  # distance of a handle from its target above which a warning is given, in diagonals
+RESIDUAL_RADIUS = 0.05  # radius l of the displacement at exact handles, in diagonals
 
 
 MIN_EXTENT_RATIO = 1e-6

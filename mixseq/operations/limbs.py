@@ -65,8 +65,7 @@ from mixseq.spaces.mixed.mixed_space import MixedSpace, as_mixed
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float, Mask
 
-JOINT_BLEND_WIDTH_EDGES = 4
-"""Width, in edges, over which joint coordinates blend from one part boundary to another."""
+JOINT_BLEND_WIDTH_EDGES = 4  # width, in edges, over which joint coordinates blend from one part boundary to another
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,17 +189,13 @@ def find_limb(model: Model, part: int) -> Limb:
 JointPoseEdit = Callable[[Float, Float], Float]
 """Function from times ``(N,)`` and joint poses ``(N, 6)`` to edited joint poses ``(N, 6)``."""
 
-SIGNAL_TOLERANCE = 1e-5
-"""Largest error of signals between sites, in diagonals."""
+SIGNAL_TOLERANCE = 1e-5  # largest error of signals between sites, in diagonals
 
 MIN_MODE_SIZE_RATIO = 1e-3
 """Smallest size of the shape modes kept for a held part and its joints, as a fraction of the largest mode."""
 
-MAX_TURN_STEP_RADIANS = 1.0
-"""Largest rotation added to a part between two sites, small enough to resolve whole turns."""
-
-DEFAULT_FADE_SECONDS = 0.2
-"""Default duration over which a part comes to rest, and moves off again."""
+MAX_TURN_STEP_RADIANS = 1.0  # largest rotation added to a part between two sites, small enough to resolve whole turns
+DEFAULT_FADE_SECONDS = 0.2  # default duration over which a part comes to rest, and moves off again
 
 
 @public

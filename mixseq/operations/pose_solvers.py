@@ -61,8 +61,7 @@ from mixseq.types import Float, Index
 MIN_DEVIATION_RATIO = 1e-6
 """Standard deviation below which a direction of pose space is a rounding error, as a fraction of the largest."""
 
-JOINT_DEVIATION = 0.5
-"""Rotation of a joint of a still mesh whose energy is 1, in radians."""
+JOINT_DEVIATION = 0.5  # rotation of a joint of a still mesh whose energy is 1, in radians
 
 MAX_STEPS, STEP_TOLERANCE, ENERGY_TOLERANCE = 30, 1e-4, 1e-5
 """Largest number of Levenberg-Marquardt steps; they stop at a step in standard deviations, or a relative decrease."""

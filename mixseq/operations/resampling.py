@@ -68,8 +68,7 @@ END_TOLERANCE = 0.05
 """Largest time after the end, in frames, of a last frame that shows the pose at the end, as of 24 fps at 23.976."""
 
 
-MAX_SHUTTER_SAMPLES = 64
-"""Largest number of samples per frame."""
+MAX_SHUTTER_SAMPLES = 64  # largest number of samples per frame
 
 
 def shutter_offsets(angle: float, samples: int) -> Float:

@@ -49,8 +49,7 @@ SIGNAL_TOLERANCE = 2e-6
 KINK_SITE_COUNT = 10
 """Number of sites on each side of a kink; their distances double up to half the distance to the next key."""
 
-NEGLIGIBLE_TIME = 1e-100
-"""Absolute value in seconds below which source times are rounded to zero."""
+NEGLIGIBLE_TIME = 1e-100  # absolute value in seconds below which source times are rounded to zero
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@
 
 Operations are functions ``model -> model`` of this package. The keys of a table are parameter names of the function;
 parameter annotations determine the types of values. In a script that begins with ``unit = "frames"``, times and
-durations are in frames of the edited model (`mixseq.sequence.frame_rates`).
+durations are in frames of the edited model, or of the model that is entered (`mixseq.sequence.frame_rates`).
 """
 
 from __future__ import annotations
@@ -306,7 +306,8 @@ class Edit:
             for key in script_keys(function).values():
                 name = key.parameter
                 if key.to_seconds is not None and name in arguments:
-                    arguments[name] = key.to_seconds(arguments[name], model.header, self.unit)
+                    clip = arguments["b"] if name == "enter" else model  # the model whose frames are counted
+                    arguments[name] = key.to_seconds(arguments[name], clip.header, self.unit)
             return function(model, **arguments)
         except MixseqError as error:
             raise type(error)(f"edit {self.number} ({self.operation}): {error}") from error

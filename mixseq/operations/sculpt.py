@@ -46,11 +46,8 @@ from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.types import Float
 
-MIN_DISPLACEMENT = 1e-3
-"""Displacement above which a vertex counts as moved, in diagonals."""
-
-MAX_MOVED_RATIO = 0.9
-"""Fraction of moved vertices above which an edit causes a warning."""
+MIN_DISPLACEMENT = 1e-3  # displacement above which a vertex counts as moved, in diagonals
+MAX_MOVED_RATIO = 0.9  # fraction of moved vertices above which an edit causes a warning
 
 
 def encode_edit(model: Model, time: float, points: ArrayLike | MeshSequence) -> Float:
@@ -117,8 +114,7 @@ Where = Literal["everywhere", "window", "similar"]
 DEFAULT_RADIUS = 0.25
 """Default radius of similarity, as a fraction of the shape-space distance to the least similar shape."""
 
-WEIGHT_TOLERANCE = 1e-3
-"""Largest error of the sampled weight between sites."""
+WEIGHT_TOLERANCE = 1e-3  # largest error of the sampled weight between sites
 
 
 @public

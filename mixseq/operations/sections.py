@@ -80,11 +80,8 @@ def blend_placements(space: ShapeSpace, a: Float, b: Float, weight: Float) -> Fl
     return space.pack_placements(Poses(rotations, lerp(first.centres, second.centres, weight)))
 
 
-MAX_BISECTIONS = 6
-"""Largest number of bisections of an interval between two sites."""
-
-MIN_KNOT_SPACING_RATIO = 1e-8
-"""Distance below which two knots are merged, as a fraction of the mean knot distance."""
+MAX_BISECTIONS = 6  # largest number of bisections of an interval between two sites
+MIN_KNOT_SPACING_RATIO = 1e-8  # distance below which two knots are merged, as a fraction of the mean knot distance
 
 
 def breakpoints(curve: Curve) -> Float:
@@ -212,14 +209,12 @@ def signal_norms(model: Model) -> tuple[DeviationNorm, DeviationNorm, DeviationN
     return shape_norm(model), placement_norm(model), correction_norm(model)
 
 
-OFFSET_KNOT_RATIOS = np.array([1.0, 2.0, 3.0]) / 3.0
-"""Ends of the three cubics of an offset, as fractions of the fade."""
+OFFSET_KNOT_RATIOS = np.array([1.0, 2.0, 3.0]) / 3.0  # ends of the three cubics of an offset, as fractions of the fade
 
 KNOT_SNAP_RATIO = 0.02
 """Distance, as a fraction of the fade, within which window knots snap to a curve's knot, as close knots lose digits."""
 
-MIN_FADE_RATIO = 1e-6
-"""Shortest allowed fade, as a fraction of the longest, so that knots are distinct in float64."""
+MIN_FADE_RATIO = 1e-6  # shortest allowed fade, as a fraction of the longest, so that knots are distinct in float64
 
 
 class CurveSection(NamedTuple):

@@ -39,14 +39,12 @@ from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
-WINDOW_SAMPLES = 5
-"""Number of poses that are compared in a window."""
+WINDOW_SAMPLES = 5  # number of poses that are compared in a window
 
 MAX_BLENDED_VERTICES = 1 << 21
 """Number of vertices of all blends whose strain is measured, those of least distance first; takes about a second."""
 
-MIN_EDGE_LENGTH = 1e-6
-"""Length in diagonals below which edges of blends are not measured."""
+MIN_EDGE_LENGTH = 1e-6  # length in diagonals below which edges of blends are not measured
 
 
 class Moment(NamedTuple):

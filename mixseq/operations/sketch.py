@@ -61,17 +61,13 @@ from mixseq.signals.model import Model
 from mixseq.signals.pose import Plane
 from mixseq.types import Float, Index
 
-TIP_RADIUS_RATIO = 0.25
-"""Radius of the rounded tip of a cone, as a fraction of the distance to the nearest frame."""
-
-MIN_SPACING_RATIO = 1e-6
-"""Distance up to which two frames count as one position, as a fraction of the embedding's size."""
+TIP_RADIUS_RATIO = 0.25  # radius of the rounded tip of a cone, as a fraction of the distance to the nearest frame
+MIN_SPACING_RATIO = 1e-6  # distance up to which two frames count as one position, as a fraction of the embedding's size
 
 MAX_DISTANCE_RATIO = 0.5
 """Distance of a curve from the nearest frame above which a warning is given, as a fraction of the embedding's size."""
 
-SIGNAL_TOLERANCE = 1e-4
-"""Largest error of signals between sites, in diagonals."""
+SIGNAL_TOLERANCE = 1e-4  # largest error of signals between sites, in diagonals
 
 
 @public
@@ -215,14 +211,9 @@ def _warn_if_far(path: Curve, positions: Float) -> None:
         )
 
 
-DEFAULT_REACH_RATIO = 1 / 8
-"""Default reach of a drag, as a fraction of the duration."""
-
-MIN_REACH_FRAMES = 2
-"""Shortest default reach, in frames."""
-
-MAX_DRAG_FRAMES = 64
-"""Largest number of frames used to interpolate a dragged pose."""
+DEFAULT_REACH_RATIO = 1 / 8  # default reach of a drag, as a fraction of the duration
+MIN_REACH_FRAMES = 2  # shortest default reach, in frames
+MAX_DRAG_FRAMES = 64  # largest number of frames used to interpolate a dragged pose
 
 MAX_SLOPE_RATIO = 2.0
 """Largest ratio of pose-space distance to plane distance between two of these frames, as a multiple of the mean."""

@@ -39,8 +39,7 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
-SITES_PER_KNOT = 8
-"""Number of sites per knot of the splines that are integrated."""
+SITES_PER_KNOT = 8  # number of sites per knot of the splines that are integrated
 
 
 @public
@@ -152,8 +151,7 @@ def ground_drift(
     return lambda times: np.asarray(integral(times) - integral(start))
 
 
-MAX_REPETITIONS = 10_000
-"""Largest number of repetitions of a section."""
+MAX_REPETITIONS = 10_000  # largest number of repetitions of a section
 
 
 @public

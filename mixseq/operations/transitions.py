@@ -124,8 +124,7 @@ def _encode_like(model: Model, first: Model) -> Model:
         return build_model(encoded, Detail())
 
 
-SITES_PER_BLENDED_KNOT = 8
-"""Number of sites of an approximating spline per knot of the curve that the spline replaces."""
+SITES_PER_BLENDED_KNOT = 8  # number of sites of an approximating spline per knot of the curve that the spline replaces
 
 
 @public

@@ -1,4 +1,4 @@
-"""An executor on the workers of an existing or local cluster, with dask.distributed (extra ``dask``).
+"""An executor on the workers of a cluster, with dask.distributed (extra ``dask``), or on processes of this machine.
 
 Results and their order are as with `serial_executor`, even if a worker dies. Every task contains its input and the
 shared object, so that the scheduler can resend the task. *Scattered* data would be lost with a worker [1]_.
@@ -14,8 +14,6 @@ import asyncio
 import logging
 import pickle
 import re
-import signal
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
@@ -23,12 +21,12 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
 from itertools import cycle, islice
-from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 from uuid import uuid4
 
 from mixseq.errors import ClusterError, GivenUpError, MissingExtraError, SettingsError
-from mixseq.runtime.parallel import one_blas_thread, thread_variables
+from mixseq.runtime.parallel import one_blas_thread
+from mixseq.runtime.processes import ProcessPool, process_pool
 from mixseq.version import __version__
 
 Shared = TypeVar("Shared")
@@ -213,24 +211,20 @@ CONNECT_TIMEOUT_SECONDS = 10.0
 
 
 @contextmanager
-def connect_to_cluster(address: str) -> Iterator[ClusterExecutor]:
-    """Connect to a cluster, or start a local one, for the duration of the block."""
-    process_count = _local_process_count(address)
+def connect_to_cluster(address: str) -> Iterator[ClusterExecutor | ProcessPool]:
+    """Connect to a cluster, or start processes of this machine, for the duration of the block."""
+    if process_count := _local_process_count(address):
+        with process_pool(process_count) as pool:
+            yield pool
+        return
     distributed = dask_module("distributed")  # imported first, as the import sets the configuration changed below
     # Warnings about large tasks are off: items may be large blocks of frames, but few are sent at a time.
     unwarned = dask_module("dask.config").set({"distributed.admin.large-graph-warning-threshold": "1 TiB"})
     with unwarned, distributed.utils.silence_logging_cmgr(logging.CRITICAL):
-        if process_count:
-            with (
-                _local(process_count) as started,
-                distributed.Client(started, set_as_default=False) as client,
-            ):
-                yield ClusterExecutor(client)
-        else:
-            _check_scheduler(address)
-            with distributed.Client(address, set_as_default=False) as client:
-                _check_workers(client, address)
-                yield ClusterExecutor(client)
+        _check_scheduler(address)
+        with distributed.Client(address, set_as_default=False) as client:
+            _check_workers(client, address)
+            yield ClusterExecutor(client)
 
 
 def _local_process_count(address: str) -> int:
@@ -243,50 +237,6 @@ def _local_process_count(address: str) -> int:
             f"{address!r} is no cluster; give local:N for N processes on this machine, or tcp://host:8786"
         )
     return int(match[1])
-
-
-@contextmanager
-def _local(process_count: int) -> Iterator[Any]:
-    """Start workers on this machine; remove their temporary files at the end of the block."""
-    with (
-        TemporaryDirectory(prefix="mixseq-", ignore_cleanup_errors=True) as folder,
-        dask_module("dask.config").set({"temporary-directory": folder}),
-        _local_cluster(process_count, folder) as started,
-    ):
-        yield started
-
-
-def _local_cluster(process_count: int, folder: str) -> Any:
-    with _ignoring_interrupts():
-        try:
-            return dask_module("distributed").LocalCluster(
-                n_workers=process_count,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address="127.0.0.1:0",  # the scheduler requires a port
-                scheduler_kwargs={"dashboard": False},
-                silence_logs=logging.CRITICAL,
-                memory_limit=None,  # dask would kill workers above a limit
-                local_directory=folder,
-                env=thread_variables(1),
-            )
-        except RuntimeError as error:
-            raise ClusterError(
-                f"no processes could be started ({error}); put the work under `if __name__ == '__main__':`"
-            ) from error
-
-
-@contextmanager
-def _ignoring_interrupts() -> Iterator[None]:
-    """Let processes started in the block ignore Ctrl-C in the terminal, as the main process ends them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
 
 
 def _check_scheduler(address: str) -> None:

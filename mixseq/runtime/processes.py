@@ -1,18 +1,21 @@
-"""Processes of this machine that run long tasks, one at a time each; the only executor that survives crashes.
+"""Processes of this machine that do one item of work at a time, and survive crashes.
 
-A process serves many tasks, since imports and compiled code take seconds to load. A task whose process died is run once
-more at the end, alone, as the system may have ended it for want of memory. Ctrl-C reaches only the parent, which ends
-its processes; they also end if the parent dies.
+A process serves many items, since imports and compiled code take seconds to load. An item whose process died is tried
+once more, in a batch at the end and alone, as the system may have ended it for want of memory. Ctrl-C reaches only the
+parent, which ends its processes; they also end if the parent dies.
 """
 
 from __future__ import annotations
 
+import atexit
+import gc
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from itertools import islice
 from multiprocessing.connection import Connection, wait
@@ -31,58 +34,81 @@ EXIT_SECONDS = 5.0
 
 
 class ProcessPool:
-    """Processes that are started when they are needed; made by `process_pool`."""
+    """An `Executor` on processes that are started when they are needed; made by `process_pool`."""
 
     def __init__(self, process_count: int, threads: int) -> None:
         self._process_count, self._threads = process_count, threads
         self._workers: list[_Worker] = []
 
+    def __call__(
+        self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
+    ) -> Iterator[Result]:
+        """Yield ``function(shared, item)`` in the order of the items; items are consumed when processes become free."""
+        task = pickle.dumps((function, shared))
+        done: dict[int, Any] = {}
+        next_number = 0
+        with closing(self._run(task, items, lambda: 2 * self._process_count - len(done))) as answers:
+            for number, item, answer in answers:
+                died = isinstance(answer, int)
+                done[number] = next(self._run(task, [item], lambda: 1))[2] if died else answer
+                while next_number in done:
+                    yield _result(done.pop(next_number))
+                    next_number += 1
+
     def as_completed(
         self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
     ) -> Iterator[tuple[Item, Callable[[], Result]]]:
         """Yield every item when it is done, in any order, and a function that returns or raises its result."""
+        task = pickle.dumps((function, shared))
         suspects = []
-        for item, answer in self._run(function, shared, items, self._process_count):
+        for _, item, answer in self._run(task, items, lambda: self._process_count):
             if isinstance(answer, int):
                 suspects.append(item)
             else:
                 yield item, partial(_result, answer)
-        for item, answer in self._run(function, shared, suspects, 1):
+        for _, item, answer in self._run(task, suspects, lambda: 1):
             yield item, partial(_result, answer)
 
     def _run(
-        self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item], max_busy: int
-    ) -> Iterator[tuple[Item, Any]]:
-        """Yield items when they are done, with (result, error), or the exit code of a process that died."""
-        remaining = iter(items)
-        busy: dict[Connection, tuple[_Worker, Item]] = {}
-        while True:
-            for item in islice(remaining, max_busy - len(busy)):
-                worker = self._idle_worker(busy)
-                with suppress(OSError):  # a process that died idle is noticed below
-                    worker.connection.send((function, shared, item))
-                busy[worker.connection] = worker, item
-            if not busy:
-                return
-            for connection in wait(list(busy)):
-                worker, item = busy.pop(connection)  # type: ignore[call-overload]
-                answer = worker.receive()
-                if isinstance(answer, int):
-                    self._workers.remove(worker)
-                yield item, answer
+        self, task: bytes, items: Iterable[Item], max_busy: Callable[[], int]
+    ) -> Generator[tuple[int, Item, Any], None, None]:
+        """Yield numbers and items when they are done, with (result, error) or the exit code of a process that died."""
+        remaining = enumerate(items)
+        busy: dict[Connection, tuple[_Worker, int, Item]] = {}
+        try:
+            while True:
+                free = min(max_busy(), self._process_count) - len(busy)
+                for number, item in islice(remaining, max(free, 0)):
+                    worker = self._idle_worker()
+                    worker.send(task, item)
+                    busy[worker.connection] = worker, number, item
+                if not busy:
+                    return
+                for connection in wait(list(busy)):
+                    worker, number, item = busy.pop(connection)  # type: ignore[call-overload]
+                    answer = worker.receive()
+                    if isinstance(answer, int):
+                        self._workers.remove(worker)
+                    yield number, item, answer
+        finally:
+            self._end([worker for worker, _, _ in busy.values()])
 
-    def _idle_worker(self, busy: dict[Connection, tuple[_Worker, Item]]) -> _Worker:
+    def _idle_worker(self) -> _Worker:
         for worker in self._workers:
-            if worker.connection not in busy:
+            if not worker.is_busy and worker.process.is_alive():
                 return worker
         self._workers.append(_Worker(self._threads))
         return self._workers[-1]
 
     def close(self) -> None:
         """End all processes, also those at work."""
-        for worker in self._workers:
+        self._end(list(self._workers))
+
+    def _end(self, workers: list[_Worker]) -> None:
+        for worker in workers:
+            self._workers.remove(worker)
             worker.process.terminate()
-        for worker in self._workers:
+        for worker in workers:
             worker.process.join(EXIT_SECONDS)
             worker.process.kill()
             worker.process.join()
@@ -107,9 +133,18 @@ class _Worker:
         with blocked_interrupts(), environment(**thread_variables(threads)):
             self.process.start()
         remote.close()
+        self.is_busy = False
+        self._task: bytes | None = None
+
+    def send(self, task: bytes, item: object) -> None:
+        """Send an item, and the pickled function and shared object if they are others than before."""
+        with suppress(OSError):  # `receive` notices that the process has died
+            self.connection.send((None if task is self._task else task, item))
+        self._task, self.is_busy = task, True
 
     def receive(self) -> tuple[Any, Exception | None] | int:
-        """Return the answer to the last task, or the exit code if the process died."""
+        """Return the answer to the last item, or the exit code if the process died."""
+        self.is_busy = False
         try:
             answer: tuple[Any, Exception | None] = self.connection.recv()
         except (EOFError, OSError):
@@ -123,9 +158,12 @@ def _serve(connection: Connection) -> None:
     """Run the tasks that arrive at a connection until it is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    atexit.register(gc.freeze)  # ends the process sooner, as in `mixseq.__main__`
     with signals_as_exceptions(), suppress(EOFError, OSError):
         while True:
-            function, shared, item = connection.recv()
+            task, item = connection.recv()
+            if task is not None:
+                function, shared = pickle.loads(task)
             value, error = None, None
             try:
                 value = function(shared, item)
@@ -144,10 +182,7 @@ def _end_with_parent() -> None:
 def _result(answer: tuple[Any, Exception | None] | int) -> Any:
     if isinstance(answer, int):
         reason = next((f" ({each.name})" for each in signal.Signals if each == -answer), f" (exit code {answer})")
-        raise GivenUpError(
-            f"its process was ended twice{reason}, at last while nothing else was running; it may need more memory "
-            "than is free"
-        )
+        raise GivenUpError(f"its process was ended twice{reason}; it may need more memory than is free")
     value, error = answer
     if error is not None:
         raise error

@@ -41,8 +41,7 @@ from mixseq.mesh.topology import (
 from mixseq.segmentation.elements import Boundaries
 from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced, index_mask
 
-MIN_MOTION_HEIGHT_RATIO = 1e-5
-"""Ratio of height to longest side up to which a face has no motion of its own."""
+MIN_MOTION_HEIGHT_RATIO = 1e-5  # ratio of height to longest side up to which a face has no motion of its own
 
 
 def sample_frame_ids(frame_count: int, max_count: int = 24) -> Index:

@@ -23,14 +23,9 @@ from mixseq.mesh.topology import Topology, split_labels
 from mixseq.segmentation.elements import Boundaries
 from mixseq.types import Float, Index
 
-DISTANCE_SAMPLES = 24
-"""Number of vertices to which distances are measured, far from each other."""
-
-MIN_PIECE_AREA_RATIO = 0.004
-"""Least area of pieces that are counted as parts, as a fraction of the mesh."""
-
-MAX_LEVELS = 256
-"""Largest number of level sets."""
+DISTANCE_SAMPLES = 24  # number of vertices to which distances are measured, far from each other
+MIN_PIECE_AREA_RATIO = 0.004  # least area of pieces that are counted as parts, as a fraction of the mesh
+MAX_LEVELS = 256  # largest number of level sets
 
 
 def segment_still(x: Float, topology: Topology, areas: Float, parts: int) -> Index:

@@ -33,8 +33,7 @@ from mixseq.types import Float, Index, IntArray, Mask, evenly_spaced
 if TYPE_CHECKING:
     from mixseq.mesh.topology import Topology
 
-SAMPLED_EDGES = 768
-"""Number of edges whose vertices are compared, shared by the components."""
+SAMPLED_EDGES = 768  # number of edges whose vertices are compared, shared by the components
 
 MIN_COMPONENT_EDGES, MAX_COMPONENTS = 48, 64
 """Least number of compared edges of a component, and largest number of components that are examined by themselves."""
@@ -45,11 +44,8 @@ MAX_GROUPS = 8
 CUT_RATIO = 5.0
 """Least ratio of a cut to the two steps on either side. With 4, real motions have cuts (docs/resampling.md)."""
 
-COMPONENT_CUT_RATIO = 8.0
-"""The same for one of several components."""
-
-FLANK_RATIO = 3.0
-"""Largest ratio of the steps beside a cut to the steps beyond them; in a burst of motion it is larger."""
+COMPONENT_CUT_RATIO = 8.0  # the same for one of several components
+FLANK_RATIO = 3.0  # largest ratio of the steps beside a cut to the steps beyond them; in a burst of motion it is larger
 
 MIN_CUT_DIAGONALS, MIN_STILL_CUT_DIAGONALS = 1e-3, 0.1
 """Least step at a cut, in diagonals, of moving and of otherwise still components."""
@@ -60,23 +56,12 @@ ROUNDING_UNITS, MOVING_UNITS = 2.0, 8.0
 NOISE_SIMILARITY, MIN_NOISE_VERTICES = 0.5, 30
 """Similarity of neighbouring vertices below which a step is noise (real motions: 0.82 to 1), and number it needs."""
 
-COLLAPSED_RATIO = 0.1
-"""Ratio of a component's size to its median below which it has collapsed."""
-
-MIN_EVIDENCE = 3
-"""Least number of standstills, kinks or periods that make a pattern."""
-
-MAX_POSE_RATIO = 4
-"""Largest ratio of the duration of a repeated pose to the median duration."""
-
-PHASE_RATIO = 3.0
-"""Least ratio of the median bend at the phase of the keys to the medians at other phases."""
-
-ROWS_PER_BLOCK = 32
-"""Number of frames, steps or bends that are measured at a time."""
-
-MAX_KEY_PERIOD, MAX_PULLDOWN_PERIOD = 8, 12
-"""Largest period, in frames, of baked keys and of single duplicates."""
+COLLAPSED_RATIO = 0.1  # ratio of a component's size to its median below which it has collapsed
+MIN_EVIDENCE = 3  # least number of standstills, kinks or periods that make a pattern
+MAX_POSE_RATIO = 4  # largest ratio of the duration of a repeated pose to the median duration
+PHASE_RATIO = 3.0  # least ratio of the median bend at the phase of the keys to the medians at other phases
+ROWS_PER_BLOCK = 32  # number of frames, steps or bends that are measured at a time
+MAX_KEY_PERIOD, MAX_PULLDOWN_PERIOD = 8, 12  # largest period, in frames, of baked keys and of single duplicates
 
 
 CutChoice = Literal["auto", "none"] | Sequence[int]

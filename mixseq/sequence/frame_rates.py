@@ -23,8 +23,7 @@ Seconds = Annotated[float, "seconds"]
 FRAME_TOLERANCE = 1e-3
 """Distance in frames up to which times snap to frames and knots, as times are typed and stored with few digits."""
 
-FRAME_ROUNDING = 1e-9
-"""Largest distance of a time from a frame that is a rounding error, in frames."""
+FRAME_ROUNDING = 1e-9  # largest distance of a time from a frame that is a rounding error, in frames
 
 
 def time_to_number(time: float, fps: float) -> float:
@@ -75,8 +74,7 @@ def hint_frame_number(time: float, start: float, end: float, fps: float) -> str:
 
 NTSC_RATES = tuple(1000 * whole / 1001 for whole in (24, 30, 48, 60, 120))
 
-_NTSC_TOLERANCE_FPS = 0.005
-"""Largest difference of an NTSC rate and its value rounded to two digits or more."""
+_NTSC_TOLERANCE_FPS = 0.005  # largest difference of an NTSC rate and its value rounded to two digits or more
 
 
 def snap_to_ntsc(fps: float, base: float | None = None) -> float:
@@ -94,14 +92,12 @@ USUAL_RATES = (24.0, 30.0, 25.0, 60.0, 50.0, 48.0, 120.0, 100.0, 12.0, 15.0, 20.
 _RATE_ROUNDING = 2.0**-22
 """Largest relative error of a rate if it, or the time between two frames, was stored in single precision."""
 
-_STEP_ROUNDING = 2e-4
-"""Largest relative error of the rate of a single step, less than the distance of 24 from 23.976."""
+_STEP_ROUNDING = 2e-4  # largest relative error of the rate of a single step, less than the distance of 24 from 23.976
 
 MAX_GRID_RATE = 60.0
 """Highest rate in Hz whose frames alone are evidence; finer ones hold hundredths of seconds and ticks as well."""
 
-_EXACT_FRAMES = 1e-9
-"""Largest distance of times from frames, in frames, that needs more than single precision."""
+_EXACT_FRAMES = 1e-9  # largest distance of times from frames, in frames, that needs more than single precision
 
 
 def snap_rate(fps: float, tolerance: float = _RATE_ROUNDING) -> float:

@@ -17,8 +17,7 @@ from mixseq.sequence.provenance import Provenance
 UP_AXES = ("X", "Y", "Z")
 DEFAULT_FPS = 24.0
 
-MAX_FRAME_COUNT = 10_000_000
-"""Largest number of frames, to detect wrong rates and speeds."""
+MAX_FRAME_COUNT = 10_000_000  # largest number of frames, to detect wrong rates and speeds
 
 
 class FileKeys(NamedTuple):

@@ -19,8 +19,7 @@ from mixseq.choices import ORDERS, OrderName
 from mixseq.errors import SettingsError
 from mixseq.types import FloatArray
 
-MAX_STEPS = 64
-"""Largest number of steps from the first frames in files."""
+MAX_STEPS = 64  # largest number of steps from the first frames in files
 
 
 def frames_checksum(blocks: Iterable[FloatArray], checksum: int = 0) -> int:

@@ -462,8 +462,7 @@ def iterate_blocks(points: LargeArray) -> Iterator[FloatArray]:
         yield points[start : start + size]
 
 
-_UNITLESS_FORMATS = ("Alembic",)
-"""File formats without units: a writer cannot detect that the unit has changed."""
+_UNITLESS_FORMATS = ("Alembic",)  # file formats without units: a writer cannot detect that the unit has changed
 
 
 @dataclass(frozen=True, eq=False)

@@ -117,8 +117,7 @@ def averaging_right_side(frames: Float, pairs: Index, rotations: Float, weights:
     return right
 
 
-MIN_SIDE_LENGTH = 1e-12
-"""Least length of sides in diagonals, since side 01 defines the frame of a triangle."""
+MIN_SIDE_LENGTH = 1e-12  # least length of sides in diagonals, since side 01 defines the frame of a triangle
 
 
 def flat_triangles(lengths: Float) -> Float:

@@ -19,11 +19,8 @@ from mixseq.types import Float, Index, Int32, Mask
 Rows = NDArray[np.uint64]
 """Unsigned indices, which save the check for negative ones."""
 
-MIN_DOUBLE = 2.2250738585072014e-308
-"""Least positive double with full precision."""
-
-FULL_TURN = 2.0 * math.pi
-"""Angle of a full turn in radians."""
+MIN_DOUBLE = 2.2250738585072014e-308  # least positive double with full precision
+FULL_TURN = 2.0 * math.pi  # angle of a full turn in radians
 
 
 @force_inlined

@@ -31,11 +31,8 @@ from mixseq.shells.face_frames import HingeFrames, flat_triangles
 from mixseq.shells.solvers import Factor, factorise_laplacian
 from mixseq.types import Float, Index, Mask
 
-POWER_ITERATIONS = 15
-"""Number of power iterations for the largest curvature."""
-
-CURVATURE_SAFETY_FACTOR = 1.3
-"""Safety factor of the largest curvature, which is underestimated at the reference."""
+POWER_ITERATIONS = 15  # number of power iterations for the largest curvature
+CURVATURE_SAFETY_FACTOR = 1.3  # safety factor of the largest curvature, which is underestimated at the reference
 
 CURVATURE_RANGE = 30.0
 """Ratio of the largest to the least curvature that relaxation reduces; errors of softer modes remain."""
@@ -46,14 +43,12 @@ SLENDER_HEIGHT_RATIO = 0.25
 MIN_AREA_RATIO = 0.7
 """Least ratio of a triangle's area to its typical area in gradients; smaller areas would destabilise the iteration."""
 
-ZERO_AREA_HEIGHT_RATIO = 1e-6
-"""Ratio of height to longest side below which a triangle is degenerate."""
+ZERO_AREA_HEIGHT_RATIO = 1e-6  # ratio of height to longest side below which a triangle is degenerate
 
 ROUNDED_HEIGHT = 2.0**-19
 """Height in diagonals below which a triangle is degenerate: twice the rounding step of reference frames."""
 
-DIFFERENCE_STEP_EDGES = 1e-4
-"""Step of difference quotients, relative to the median edge length."""
+DIFFERENCE_STEP_EDGES = 1e-4  # step of difference quotients, relative to the median edge length
 
 MIN_HEIGHT_RATIO = 1e-6
 """Ratio of height to longest side below which triangles of the initial mesh are collapsed; their angles are noise."""

@@ -39,8 +39,7 @@ from mixseq.types import Float, Index, Mask
 MIN_ROWS_FOR_THREADS = 30_000
 """Number of rows below which a matrix is factored by one thread, since several matrices are factored at once."""
 
-_DEFAULT_THREADS = 4
-"""Default number of threads of rslab."""
+_DEFAULT_THREADS = 4  # default number of threads of rslab
 
 _UNREACHABLE_WORK = 1 << 62
 """Amount of work above which rslab solves on its global pool, which a forked process cannot replace."""

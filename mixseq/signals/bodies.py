@@ -42,8 +42,7 @@ class Relation(NamedTuple):
         return Relation(tuple(turn.tolist()), self.same_parts and other.same_parts)
 
 
-SAME_BODY = Relation(same_parts=True)
-"""Relation of a body to itself."""
+SAME_BODY = Relation(same_parts=True)  # relation of a body to itself
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,8 +29,7 @@ from mixseq.types import Float, FloatArray
 Decoded = TypeVar("Decoded")
 Delivery = TypeVar("Delivery")
 
-FRAMES_PER_BLOCK = 4
-"""Number of frames of large meshes that a thread decodes at once."""
+FRAMES_PER_BLOCK = 4  # number of frames of large meshes that a thread decodes at once
 
 MAX_FRAMES_PER_BLOCK, VERTICES_PER_BLOCK = 16, 1 << 19
 """Largest number of frames that a thread decodes at once, and of their vertices, if there are more frames than 4."""
@@ -227,8 +226,7 @@ class RigMotion(Decodable):
         return self.decode_points(times), velocities.astype(np.float64)
 
 
-MAX_FRAME_FACTOR = 8
-"""Largest number of frames of a delivery per frame of its motion."""
+MAX_FRAME_FACTOR = 8  # largest number of frames of a delivery per frame of its motion
 
 FRAME_BOUND_RATIO = 0.75
 """Ratio of the bound at frames to the bound between them. Keys take fewer bytes than accuracy at frames."""

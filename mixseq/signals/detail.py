@@ -97,11 +97,8 @@ def least_squares_curve(times: Float, values: Float, inner: Float) -> Curve:
     return Curve(sites, make_lsq_spline(times, values, knots, k=3)(sites))
 
 
-OPERATOR_VERTICES = 256
-"""Number of vertices from which the temporal operator is selected."""
-
-FRAMES_IN_BODY_AXES = 1024
-"""Number of frames whose samples are brought into body axes together."""
+OPERATOR_VERTICES = 256  # number of vertices from which the temporal operator is selected
+FRAMES_IN_BODY_AXES = 1024  # number of frames whose samples are brought into body axes together
 
 MOTION_VERTICES = 64
 """Number of vertices in world axes by which breaks of speed and slopes beside held frames are selected."""
@@ -376,20 +373,14 @@ def _inner_knots(knots: int | ArrayLike, times: Float) -> Float:
 VISUALLY_LOSSLESS_TOLERANCE = 5e-4
 """Default tolerance in diagonals: half a pixel where the mesh fills a picture of 1000 pixels."""
 
-EXACT_TOLERANCE = 1e-8
-"""Tolerance of exact models in diagonals, which allows for rounding errors."""
+EXACT_TOLERANCE = 1e-8  # tolerance of exact models in diagonals, which allows for rounding errors
 
 EXACT_ROUNDING_STEP = 2.0**-38
 """Rounding step of the signals of exact models in diagonals; frames are off by about 1e-11."""
 
-TOLERANCE_TO_STEP_RATIO = 64
-"""Initial ratio of the tolerance to the rounding step of signals."""
-
-SUFFICIENT_ERROR_RATIO = 0.6
-"""Ratio of error to tolerance above which a model is accepted without further coarsening."""
-
-MAX_TRIAL_MODELS = 7
-"""Largest number of models in the search before the finest model is tried."""
+TOLERANCE_TO_STEP_RATIO = 64  # initial ratio of the tolerance to the rounding step of signals
+SUFFICIENT_ERROR_RATIO = 0.6  # ratio of error to tolerance above which a model is accepted without further coarsening
+MAX_TRIAL_MODELS = 7  # largest number of models in the search before the finest model is tried
 
 
 def fit_within_tolerance(

@@ -59,23 +59,15 @@ from mixseq.spaces.temporal import FrameWeights
 from mixseq.spaces.temporal_pieces import Timing
 from mixseq.types import Float, FloatArray, Int32, evenly_spaced
 
-MIN_VALIDATED_FRAMES = 4
-"""Least number of frames of a sequence for cross-validation."""
+MIN_VALIDATED_FRAMES = 4  # least number of frames of a sequence for cross-validation
 
 MIN_VALIDATION_FRAMES, MAX_VALIDATION_FRAMES = 3, 16
 """Least number of left-out frames, also for large meshes, and largest number."""
 
-MAX_VALIDATION_VERTICES = 2_000_000
-"""Largest number of vertices in all left-out frames together."""
-
-CANDIDATE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Candidates for the share of lengths and angles, ascending."""
-
-SUFFICIENT_GAIN = 0.8
-"""Sufficient fraction of the largest gain: the smallest share with this gain is selected."""
-
-ERROR_FLOOR = 1e-12
-"""Least error in diagonals or radians; smaller errors are due to rounding."""
+MAX_VALIDATION_VERTICES = 2_000_000  # largest number of vertices in all left-out frames together
+CANDIDATE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # candidates for the share of lengths and angles, ascending
+SUFFICIENT_GAIN = 0.8  # sufficient fraction of the largest gain: the smallest share with this gain is selected
+ERROR_FLOOR = 1e-12  # least error in diagonals or radians; smaller errors are due to rounding
 
 
 def select_share(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequence:
@@ -140,8 +132,7 @@ def _rms_errors(elements: tuple[Int32, Int32], points: Iterable[Float], expected
 FIT_STAGES = 2 + SPACE_STAGES
 """Number of progress stages, without the search for a tolerance: reading frames, making the space, encoding."""
 
-_SHELL_ACCURACY_RATIO = 10.0
-"""Ratio of the tolerance of frames to the accuracy of fits to lengths and angles."""
+_SHELL_ACCURACY_RATIO = 10.0  # ratio of the tolerance of frames to the accuracy of fits to lengths and angles
 
 
 class FitOptions(SpaceOptions, total=False):

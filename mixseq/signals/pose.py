@@ -114,11 +114,8 @@ class PoseMap:
         return cls(np.eye(count)[0], np.eye(count)[1:] - np.eye(count)[0])
 
 
-NEGLIGIBLE_MODE = 1e-15
-"""Ratio to the largest singular value below which modes are rounding errors."""
-
-MIN_WEIGHT_RATIO = 1e-9
-"""Least ratio of a weight of coordinates to the largest weight, because weights are divisors."""
+NEGLIGIBLE_MODE = 1e-15  # ratio to the largest singular value below which modes are rounding errors
+MIN_WEIGHT_RATIO = 1e-9  # least ratio of a weight of coordinates to the largest weight, because weights are divisors
 
 Deviations = Callable[[int], Iterator[tuple[slice, Float]]]
 """Function of r that yields blocks ``(r, C)``, with their columns, of one standard deviation along r modes."""

@@ -54,8 +54,7 @@ from mixseq.spaces.mixed.mixed_space import MixedSpace, as_mixed
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float, IntArray
 
-AXIS_ITERATIONS = 100
-"""Number of iterations by which body axes and part axes of two bodies are matched."""
+AXIS_ITERATIONS = 100  # number of iterations by which body axes and part axes of two bodies are matched
 
 MIN_INDEPENDENCE = 1e-9
 """Least distance of the weights of a key pose from the span of the others, relative to the largest weights."""

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 ANGLE_WEIGHT = 0.3
 """Weight of a dihedral angle in radians, relative to the length of the hinge's edge, in the metrics of all spaces."""
 
-MIN_GYRATION_RADIUS = 1e-3
-"""Least radius of gyration of a part in metrics, in diagonals."""
+MIN_GYRATION_RADIUS = 1e-3  # least radius of gyration of a part in metrics, in diagonals
 
 
 def radii_of_gyration(shapes: Float, parts: Sequence[Index]) -> Float:
@@ -40,8 +39,7 @@ def flatten_blocks(blocks: Iterable[NDArray[Any]]) -> NDArray[Any]:
     return np.concatenate([block.reshape(len(block), -1) for block in blocks], axis=1)
 
 
-DIFFERENCE_STEP_DIAGONALS = 1e-4
-"""Step of central differences, as a displacement of vertices in diagonals."""
+DIFFERENCE_STEP_DIAGONALS = 1e-4  # step of central differences, as a displacement of vertices in diagonals
 
 
 class ShapeSpace(PickledWithoutCaches, ABC):

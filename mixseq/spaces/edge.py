@@ -70,8 +70,7 @@ class ShellTargets(NamedTuple):
     volume_weights: Float  # (p,) volume weights, divided by typical volumes; 0 for sheets
 
 
-MIN_VOLUME_RATIO = 1e-3
-"""Least ratio of volume to area to the 3/2 of a surface with a volume term; a sphere has 0.094."""
+MIN_VOLUME_RATIO = 1e-3  # least ratio of volume to area to the 3/2 of a surface with a volume term; a sphere has 0.094
 
 
 def is_sheet(points: FloatArray, faces: IntArray) -> bool:
@@ -160,14 +159,9 @@ class DiscreteShell(PickledWithoutCaches):
         )
 
 
-CHAIN_AVERAGING_ROUNDS = 10
-"""Rounds of rotation averaging after chaining."""
-
-MAX_CYCLES = 4
-"""Largest number of cycles of relaxation; between cycles, frames are averaged once."""
-
-STEPS_PER_CYCLE = 20
-"""Relaxation steps per cycle."""
+CHAIN_AVERAGING_ROUNDS = 10  # rounds of rotation averaging after chaining
+MAX_CYCLES = 4  # largest number of cycles of relaxation; between cycles, frames are averaged once
+STEPS_PER_CYCLE = 20  # relaxation steps per cycle
 
 
 @dataclass(frozen=True, eq=False)

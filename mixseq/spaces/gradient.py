@@ -43,8 +43,7 @@ from mixseq.types import Float, FloatArray, Index
 SYMMETRIC_ENTRIES = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 """Rows and columns of the six numbers of a symmetric matrix, with the diagonal first."""
 
-SYMMETRIC_ENTRY_IDS = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
-"""Index of each matrix entry among the six numbers."""
+SYMMETRIC_ENTRY_IDS = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # index of each matrix entry among the six numbers
 
 
 class GradientBlocks(NamedTuple):

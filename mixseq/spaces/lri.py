@@ -31,8 +31,7 @@ from mixseq.shells.solvers import BlockPattern, PoissonSystem, index_of, solve_f
 from mixseq.spaces.pieces import PosedSpace
 from mixseq.types import Float, Index
 
-NUMBERS_PER_EDGE = 15
-"""Numbers per edge: nine of the rotation, three of the edge in each frame."""
+NUMBERS_PER_EDGE = 15  # numbers per edge: nine of the rotation, three of the edge in each frame
 
 
 @dataclass(frozen=True, eq=False)

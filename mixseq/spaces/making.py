@@ -35,8 +35,7 @@ from mixseq.spaces.mixed.construction import Purpose, mixed_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.types import Index
 
-SPACE_STAGES = 3
-"""Number of progress stages; each takes about as long as one pass over all frames."""
+SPACE_STAGES = 3  # number of progress stages; each takes about as long as one pass over all frames
 
 
 @dataclass(frozen=True, eq=False)

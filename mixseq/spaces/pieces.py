@@ -75,11 +75,8 @@ def align_parts(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tuple[F
     return rotate_back(points, np.concatenate(parts), ends, centres, rotations), rotations, centres
 
 
-MIN_WIDTH_RATIO = 1e-3
-"""Least ratio of width to length of a piece; narrower pieces are lines."""
-
-ADDED_WIDTH_RATIO = 0.1
-"""Ratio of the width added to a line to the line's length."""
+MIN_WIDTH_RATIO = 1e-3  # least ratio of width to length of a piece; narrower pieces are lines
+ADDED_WIDTH_RATIO = 0.1  # ratio of the width added to a line to the line's length
 
 
 @dataclass(frozen=True, eq=False)

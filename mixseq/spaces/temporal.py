@@ -71,14 +71,9 @@ def spline_weights(knots: Float, times: Float, ends: EndCondition) -> Float:
 CANDIDATE_LENGTH_SCALES = (np.inf, 8.0, 5.6, 4.0, 2.8, 2.0, 1.4, 1.0)
 """Candidates for the length scale of the covariance, in mean steps between frames."""
 
-WINDOW_FRAMES = 48
-"""Number of nearest frames with weights."""
-
-MAX_LEFT_OUT_FRAMES = 96
-"""Largest number of evenly spread frames in cross-validation."""
-
-REGULAR_SPACING_TOLERANCE = 2.0**-30
-"""Deviation from whole steps, in steps, below which frames are regularly spaced."""
+WINDOW_FRAMES = 48  # number of nearest frames with weights
+MAX_LEFT_OUT_FRAMES = 96  # largest number of evenly spread frames in cross-validation
+REGULAR_SPACING_TOLERANCE = 2.0**-30  # deviation from whole steps, in steps, below which frames are regularly spaced
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,8 +43,7 @@ SPEED_RATIO = 6.0
 SHARED_ACCELERATION = 0.25
 """Similarity of the accelerations at a frame and beside it above which the motion is a smooth turn."""
 
-SLOPE_FRAMES = 12
-"""Number of frames by which the slope beside held frames is selected."""
+SLOPE_FRAMES = 12  # number of frames by which the slope beside held frames is selected
 
 HOLD_FRACTION = 0.999
 """Fraction of an interval after which `hold` shows the next frame: before its time, so that rounding cannot miss it."""

@@ -578,10 +578,10 @@ def test_processes_write_the_same(bent_bar: MeshSequence) -> None:
     assert states("two") == {"one.npz": "done", "three.npz": "failed", "two.usdc": "done"}
 
 
-def test_assets_on_a_cluster(tmp_path: Path, bent_bar: MeshSequence) -> None:
-    """What happens when workers die is in ``tests/runtime/test_cluster.py``."""
-    pytest.importorskip("distributed")
-    from mixseq.runtime.cluster import connect_to_cluster
+@pytest.mark.usefixtures("processes")
+def test_assets_in_given_processes(tmp_path: Path, bent_bar: MeshSequence) -> None:
+    """What happens when processes die is in ``tests/runtime``."""
+    from mixseq.runtime.processes import process_pool
 
     for number in range(2):
         points = bent_bar.points * (1 + np.arange(4) * number)[:, None, None]
@@ -592,7 +592,7 @@ def test_assets_on_a_cluster(tmp_path: Path, bent_bar: MeshSequence) -> None:
     there = plan(find_sources([tmp_path]), tmp_path / "there", (), SETTINGS, ".h5")
     for asset in here:
         assert run_asset(None, asset).state == "done"
-    with connect_to_cluster("local:1") as workers:
+    with process_pool(1) as workers:
         report = run(there, Report({}), tmp_path / "there", on_workers(workers, log_progress), force=False)
     assert report.finished and report.count("done") == 2
     for one, other in zip(here, there, strict=True):

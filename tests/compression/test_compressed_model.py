@@ -276,3 +276,5 @@ def test_bodies_that_do_not_belong_together_are_refused() -> None:
         replace(coded(), bodies=(other,))
     with pytest.raises(SettingsError, match="size is for one body, and the model has several"):
         mixseq.compress(CompressedModel.from_sequence(herd()), size=4000)
+    with pytest.raises(SettingsError, match="labels are for one body, and the model has several; leave out parts"):
+        mixseq.compress(CompressedModel.from_sequence(herd()), max_error=1e-3, parts=[0, 1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 from typing import Literal
@@ -277,6 +278,14 @@ def test_scripts_may_speak_in_frames(edits: Edits, seconds: str, frames: str) ->
     )
     np.testing.assert_allclose(other.times, one.times, rtol=0, atol=1e-12)
     np.testing.assert_allclose(other.sample().points, one.sample().points, atol=1e-9)
+
+
+def test_a_time_of_another_model_counts_its_frames() -> None:
+    motion = bar_motion("vertex")
+    other = replace(motion, header=replace(motion.header, fps=20.0))
+    arguments = {"b": other, "at": 2, "duration": 2, "enter": 4}
+    found = Edit(1, "transition", arguments, "frames")(motion)
+    np.testing.assert_array_equal(found.times, transition(motion, other, at=0.2, duration=0.2, enter=0.2).times)
 
 
 def test_key_files_have_their_own_unit(edits: Edits, tmp_path: Path) -> None:

@@ -7,12 +7,17 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mixseq.errors import GivenUpError, SettingsError
+from mixseq.runtime.cluster import connect_to_cluster
+from mixseq.runtime.parallel import serial_executor
 from mixseq.runtime.processes import ProcessPool, process_pool
+from mixseq.signals.model import Model
 
 pytestmark = pytest.mark.slow
 
@@ -75,6 +80,39 @@ def test_a_task_whose_process_dies_is_tried_alone_and_then_given_up(tmp_path: Pa
     assert (results["once"](), results["never"]()) == ("once", "never")
     with pytest.raises(GivenUpError, match=r"its process was ended twice \(SIGKILL\).*may need more memory"):
         results["always"]()
+
+
+def test_results_are_in_order_whatever_dies(tmp_path: Path) -> None:
+    taken = []
+
+    def items() -> Iterator[int]:
+        for item in range(100):
+            taken.append(item)
+            yield item
+
+    with connect_to_cluster("local:2") as workers:
+        assert isinstance(workers, ProcessPool)
+        results = workers(pow, 2, items())
+        assert taken == []
+        assert next(results) == 1
+        results.close()  # type: ignore[attr-defined]
+        assert len(taken) <= 4
+        assert list(workers(pow, 2, range(20))) == [2**power for power in range(20)]
+        for process in processes_of(workers):
+            os.kill(process or 0, signal.SIGKILL)
+        assert list(workers(killed, tmp_path, ["never", "once", "never"])) == ["never", "once", "never"]
+        with pytest.raises(ZeroDivisionError):
+            list(workers(divided, 6, [1, 0]))
+        with pytest.raises(GivenUpError):
+            list(workers(killed, tmp_path, ["never", "always"]))
+
+
+def test_frames_are_those_of_one_thread(bar_model: Model) -> None:
+    times = np.linspace(bar_model.start, bar_model.end, 20)
+    with process_pool(2) as workers:
+        blocks = list(bar_model.blocks(times, 2, workers=workers))
+    expected = list(bar_model.blocks(times, 2, workers=serial_executor))
+    assert np.concatenate(blocks).tobytes() == np.concatenate(expected).tobytes()
 
 
 def wait_for(folder: Path, pattern: str, count: int) -> list[Path]:

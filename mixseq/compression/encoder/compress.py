@@ -138,8 +138,10 @@ def compress(
             **{"uv_error": uv_error, "uvs": uvs, "order": order, "chunk": chunk, "parts": parts, "cuts": cuts},
             **{"inbetweens": inbetweens, "between_frames": between_frames},
         }
-        if size is not None and sequence.body_names[1:]:
+        if sequence.body_names[1:] and size is not None:
             raise SettingsError("size is for one body, and the model has several; give max_error or kg")
+        if sequence.body_names[1:] and np.ndim(parts):
+            raise SettingsError("labels are for one body, and the model has several; leave out parts to keep their own")
         stages, bodies = StagedProgress(progress, len(sequence.body_names), 100), sequence.frames_of_bodies()
         first, *others = (
             replace(compress(frames, max_error, kg, size, stages.at(number), **options), relation=relation)

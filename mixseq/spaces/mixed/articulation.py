@@ -47,14 +47,9 @@ from mixseq.spaces.mixed.joint_projection import RealOrComplex
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float, Index
 
-CONTACT_DISTANCE = 0.1
-"""Largest distance between touching components in the reference frame, in diagonals."""
-
-MOTION_FLOOR = 1e-2
-"""Root mean square motion added to all variances, in diagonals."""
-
-STEADINESS_RANGE = (1e-8, MOTION_FLOOR**-2)
-"""Range of inverse variances, in 1 / squared diagonals."""
+CONTACT_DISTANCE = 0.1  # largest distance between touching components in the reference frame, in diagonals
+MOTION_FLOOR = 1e-2  # root mean square motion added to all variances, in diagonals
+STEADINESS_RANGE = (1e-8, MOTION_FLOOR**-2)  # range of inverse variances, in 1 / squared diagonals
 
 
 class PartPoses(NamedTuple):

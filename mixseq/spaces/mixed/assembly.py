@@ -27,11 +27,8 @@ from mixseq.shells.face_frames import FrameGraph, bridging_mask, flat_triangles,
 from mixseq.shells.shell import ZERO_AREA_HEIGHT_RATIO, Relaxed, Shell
 from mixseq.types import Float, Index, Mask
 
-ASSEMBLY_AVERAGING_ROUNDS = 3
-"""Rounds of rotation averaging over parts and faces."""
-
-NOISE_HEIGHT_RATIO = 1e-4
-"""Ratio of height to side of triangles below which heights are rounding errors of lengths."""
+ASSEMBLY_AVERAGING_ROUNDS = 3  # rounds of rotation averaging over parts and faces
+NOISE_HEIGHT_RATIO = 1e-4  # ratio of height to side of triangles below which heights are rounding errors of lengths
 
 
 class FreeFrame(NamedTuple):

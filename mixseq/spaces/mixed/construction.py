@@ -33,35 +33,19 @@ Purpose = Literal["sequence", "reduced", "blends"]
 ERROR_LIMITS = {"sequence": (0.1, 25.0), "reduced": (0.1, 25.0), "blends": (0.015, 4.0), "free": (0.06, 15.0)}
 """Largest half-way errors outside joints, by purpose or placement: relative for edges, in degrees for hinges."""
 
-TORN_STRETCH = 0.1
-"""Relative half-way error of an edge above which its faces are torn."""
-
-FAR_TORN_SHARE = 0.15
-"""Fraction of torn faces above which frames are far apart."""
-
-FAR_HOLD = 0.003
-"""`Projection.hold` where frames are far apart."""
-
-REFERENCE_STEP = 2.0**-20
-"""Rounding step of mean shapes and of the reference frame, in diagonals."""
-
-SIZE_REDUCTION = 1.3
-"""Least ratio of the number of all lengths and angles to the length of a vector."""
-
-STILL_HOLD = 0.01
-"""`Projection.hold` of a single frame, whose joints have lengths and angles for poses by handles."""
-
-FAR_RELATIONS = 3.0
-"""`Projection.relations` where frames are far apart, since relations vary less than poses."""
+TORN_STRETCH = 0.1  # relative half-way error of an edge above which its faces are torn
+FAR_TORN_SHARE = 0.15  # fraction of torn faces above which frames are far apart
+FAR_HOLD = 0.003  # `Projection.hold` where frames are far apart
+REFERENCE_STEP = 2.0**-20  # rounding step of mean shapes and of the reference frame, in diagonals
+SIZE_REDUCTION = 1.3  # least ratio of the number of all lengths and angles to the length of a vector
+STILL_HOLD = 0.01  # `Projection.hold` of a single frame, whose joints have lengths and angles for poses by handles
+FAR_RELATIONS = 3.0  # `Projection.relations` where frames are far apart, since relations vary less than poses
 
 MIN_HEIGHT_RATIO = 1e-3
 """Least ratio of height to longest side of joint faces, in all frames; angles of lower faces are noise."""
 
-MAX_NEIGHBOUR_PAIRS = 12
-"""Largest number of pairs of neighbouring frames from which joint faces are found."""
-
-SAMPLED_FACES = 100_000
-"""Number of faces from which the fraction of torn faces is estimated."""
+MAX_NEIGHBOUR_PAIRS = 12  # largest number of pairs of neighbouring frames from which joint faces are found
+SAMPLED_FACES = 100_000  # number of faces from which the fraction of torn faces is estimated
 
 MAX_POSES_FOR_ALL_PAIRS = 12
 """Largest number of poses of which all pairs are compared; with more poses, only neighbours are compared."""
@@ -69,11 +53,8 @@ MAX_POSES_FOR_ALL_PAIRS = 12
 MIN_STEPS, MAX_STEPS = 6, 20
 """Relaxation steps between far poses if no faces, or all faces, are joint faces; linear in between."""
 
-FREE_STEPS = 10
-"""Relaxation steps of the free placement."""
-
-MAX_SHAPE_FRAMES = 64
-"""Number of frames in mean shapes. Frames are encoded exactly with any mean shapes."""
+FREE_STEPS = 10  # relaxation steps of the free placement
+MAX_SHAPE_FRAMES = 64  # number of frames in mean shapes; frames are encoded exactly with any
 
 
 def mixed_space(

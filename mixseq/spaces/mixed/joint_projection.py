@@ -318,11 +318,8 @@ def displacement_right_side(
     return right
 
 
-FACE_AVERAGING_ROUNDS = 2
-"""Rounds of rotation averaging over faces."""
-
-MOVING_RINGS = 1
-"""Rings of faces around joint faces that move with them, because joints alone are too stiff."""
+FACE_AVERAGING_ROUNDS = 2  # rounds of rotation averaging over faces
+MOVING_RINGS = 1  # rings of faces around joint faces that move with them, because joints alone are too stiff
 
 
 @dataclass(frozen=True, eq=False)

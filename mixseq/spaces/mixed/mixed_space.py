@@ -64,23 +64,15 @@ from mixseq.types import Float, FloatArray, Index, Int32, Mask
 JOINT_WEIGHT = 1e-3
 """Weight of lengths and angles in the metric. Rest vertices have the weight 1 and determine the same shape."""
 
-JOINT_EMBEDDING_WEIGHT = 2.0
-"""Weight of lengths and angles in embeddings."""
+JOINT_EMBEDDING_WEIGHT = 2.0  # weight of lengths and angles in embeddings
 
 MAX_EDIT_ROUNDS, EDIT_TOLERANCE = 12, 1e-11
 """Largest number of iterations to reach an edited frame, and the error at which they stop, in diagonals."""
 
-ARTICULATION_WEIGHT = 0.2
-"""Weight of part poses in the metric, relative to the vertices they move."""
-
-PROJECTION_WEIGHT_RANGE = (1e-6, 1e6)
-"""Range of `hold` and `relations`, outside which linear systems are singular."""
-
-LENGTH_STEP_RATIO = 1 / 4
-"""Ratio of the rounding step of lengths to the rounding step of positions, if P_m relaxes."""
-
-MAX_ANGLE_STEP_RATIO = 64
-"""Largest ratio of the rounding step of angles in radians to that of positions in diagonals."""
+ARTICULATION_WEIGHT = 0.2  # weight of part poses in the metric, relative to the vertices they move
+PROJECTION_WEIGHT_RANGE = (1e-6, 1e6)  # range of `hold` and `relations`, outside which linear systems are singular
+LENGTH_STEP_RATIO = 1 / 4  # ratio of the rounding step of lengths to the rounding step of positions, if P_m relaxes
+MAX_ANGLE_STEP_RATIO = 64  # largest ratio of the rounding step of angles in radians to that of positions in diagonals
 
 
 MAX_PROJECTED_FRAMES, MAX_PROJECTED_VERTICES = 16, 1 << 19
@@ -128,8 +120,7 @@ class MixedBlocks(NamedTuple):
         return PartPoses(*self[3:7])
 
 
-QUATERNION_BLOCKS = ("part_rotations", "relation_rotations", "body_rotations")
-"""Names of the blocks of quaternions."""
+QUATERNION_BLOCKS = ("part_rotations", "relation_rotations", "body_rotations")  # names of the blocks of quaternions
 
 
 @dataclass(frozen=True, eq=False)

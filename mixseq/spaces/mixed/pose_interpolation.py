@@ -38,17 +38,13 @@ from mixseq.types import Float, Index, Mask
 RELATION_WEIGHT = 2.0
 r"""Weight :math:`\lambda` of a relation relative to a pose, chosen empirically on half of the benchmark animations."""
 
-MAX_ROOT_CANDIDATES = 4
-"""Number of parts with the largest areas, in every body, from which the root is selected."""
-
-PRIOR_SAMPLES = 6.0
-"""Number n of error samples to which the isotropic prior is equivalent."""
+MAX_ROOT_CANDIDATES = 4  # number of parts with the largest areas, in every body, from which the root is selected
+PRIOR_SAMPLES = 6.0  # number n of error samples to which the isotropic prior is equivalent
 
 POSE_ERROR_FLOOR = 1e-3
 r"""Error :math:`\varepsilon` added to all covariances, in diagonals."""
 
-TIMES_PER_BLOCK = 64
-"""Number of times whose systems are solved together."""
+TIMES_PER_BLOCK = 64  # number of times whose systems are solved together
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,7 @@ from mixseq.runtime.jit import compiled, inlined
 from mixseq.shells.face_frames import multiply, multiply_by_inverse, multiply_inverse_by
 from mixseq.types import Float, Index, Int32
 
-PART_AVERAGING_ROUNDS = 2
-"""Rounds of rotation averaging over parts."""
+PART_AVERAGING_ROUNDS = 2  # rounds of rotation averaging over parts
 
 SERIES_SQUARED_ANGLE = 1e-6
 """Squared length of a rotation vector below which its exponential is a power series, in squared radians."""
@@ -49,8 +48,7 @@ def _normalise(q: Float) -> None:
         q[0] += 1.0
 
 
-EXPONENT_TOLERANCE = 1e-12
-"""Distance to 0 or 1 below which exponents of rotations are rounded."""
+EXPONENT_TOLERANCE = 1e-12  # distance to 0 or 1 below which exponents of rotations are rounded
 
 
 @compiled

@@ -24,8 +24,7 @@ from mixseq.shells.solvers import factorise
 from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, FloatArray, Index, Int32, index_mask
 
-EXCHANGE_ROUNDS = 4
-"""Number of rounds of exchanges between the parts of a vertex in a sweep."""
+EXCHANGE_ROUNDS = 4  # number of rounds of exchanges between the parts of a vertex in a sweep
 
 
 @compiled
@@ -120,20 +119,14 @@ def add_motion_errors(
 INFLUENCE_RINGS = 6.0
 """Radius of influence of parts in rings of edges; chosen empirically, as are the next constants (docs/between.md)."""
 
-MAX_PARTS_PER_VERTEX = 6
-"""Largest number of parts that a vertex is skinned to."""
-
-MIN_WEIGHT = 0.01
-"""Least skinning weight; smaller weights are set to zero."""
-
-SMOOTHNESS_WEIGHT = 0.1
-"""Weight of smoothness relative to the squared distance of part motions."""
+MAX_PARTS_PER_VERTEX = 6  # largest number of parts that a vertex is skinned to
+MIN_WEIGHT = 0.01  # least skinning weight; smaller weights are set to zero
+SMOOTHNESS_WEIGHT = 0.1  # weight of smoothness relative to the squared distance of part motions
 
 MOTION_NOISE = 1e-12
 """Squared distance of part motions, in squared diagonals, below which weights are determined by smoothness."""
 
-GAUSS_SEIDEL_SWEEPS = 20
-"""Number of Gauss-Seidel sweeps."""
+GAUSS_SEIDEL_SWEEPS = 20  # number of Gauss-Seidel sweeps
 
 MAX_FULLY_FITTED_VERTICES = 200_000
 """Largest mesh, in vertices, with all vertices fitted; in larger meshes, only vertices near part boundaries are."""
@@ -141,8 +134,7 @@ MAX_FULLY_FITTED_VERTICES = 200_000
 FITTED_BOUNDARY_RINGS = 32
 """Rings of fitted vertices around part boundaries; weights fall to a hundredth within half of them."""
 
-WEIGHT_STEP = 2.0**-16
-"""Rounding step of skinning weights."""
+WEIGHT_STEP = 2.0**-16  # rounding step of skinning weights
 
 _PARTS_PER_BLOCK = 16  # parts that are diffused together
 
