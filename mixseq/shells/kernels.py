@@ -308,7 +308,7 @@ LEVEL_ENERGY_RATIO = 0.1
 """Ratio of new to old energy below which the energy has not levelled off, as near an exact fit."""
 
 MAX_DECAY = 0.1
-"""Largest ratio of successive gains with which the next gain is taken to be smaller by this ratio, and not computed."""
+"""Largest ratio of successive gains by which the next step is predicted, and not computed if it is short."""
 
 CONJUGATE_GRADIENT_TOLERANCE = 0.03
 """Relative residual at which conjugate gradients stop; the next Gauss-Newton step corrects the error."""
@@ -371,7 +371,7 @@ def fit_near(
         for v in range(count):
             for i in range(3):
                 gradient[v, i] += squares[v] * offsets[v, i]
-                blocks[v, DIAGONAL[i]] += squares[v]
+                blocks[v, i * (7 - i) // 2] += squares[v]
         while True:
             _solve_near(system, squares, blocks, damping, gradient, work, step)
             gain, longest, new_energy = 0.0, 0.0, 0.0
@@ -395,16 +395,13 @@ def fit_near(
                 offsets[v, i] += step[v, i]
         gain_ratio, has_levelled = (energy - new_energy) / gain, new_energy > LEVEL_ENERGY_RATIO * energy
         energy, decay, previous_gain = new_energy, gain / previous_gain, gain
-        if gain * (decay if decay <= MAX_DECAY else 1.0) <= tolerance * energy:
+        is_fast = decay <= MAX_DECAY and longest * math.sqrt(decay) <= accuracy  # then the next step is predicted
+        if gain * (decay if is_fast else 1.0) <= tolerance * energy:
             break
         if has_levelled and damping <= MAX_CONVERGED_DAMPING and longest <= accuracy:
             break
         damping = max(damping * (0.2 if gain_ratio > 0.75 else 1.0 if gain_ratio > 0.25 else 4.0), 1e-10)
     return energy
-
-
-DIAGONAL = 0, 3, 5
-"""Places of the diagonal in the upper triangle of a symmetric block, by rows."""
 
 
 @force_inlined
@@ -441,11 +438,11 @@ def _solve_near(
     largest = 0.0
     for v in range(count):
         for i in range(3):
-            largest = max(largest, blocks[v, DIAGONAL[i]])
+            largest = max(largest, blocks[v, i * (7 - i) // 2])
     inverse, added = np.empty((count, 6)), np.empty((count, 3))
     for v in range(count):
         for i in range(3):
-            added[v, i] = damping * blocks[v, DIAGONAL[i]] + 1e-12 * largest
+            added[v, i] = damping * blocks[v, i * (7 - i) // 2] + 1e-12 * largest
             r[v, i] = -gradient[v, i]
         _invert_block(blocks[v], added[v], inverse[v])
     solution[:] = 0.0

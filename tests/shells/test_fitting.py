@@ -171,18 +171,18 @@ def fitted_near(problem: ShellProblem, start: Float, settings: ShellSettings) ->
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", MESHES)
 def test_near_positions_the_sum_of_both_energies_is_stationary(name: str, seed: int) -> None:
-    """Gradients balance to eight digits: the derivative of the residuals is that of NumPy."""
+    """Their gradients balance, as far as energies of sixteen digits can be compared."""
     mesh, fixed = MESHES[name]
     rng, problem = np.random.default_rng(seed), problem_of(mesh, fixed)
     problem = replace(problem, lengths=problem.lengths * rng.uniform(0.9, 1.1, len(problem.lengths)))
     start, free = mesh[0] + rng.normal(scale=0.02, size=mesh[0].shape), problem.patch.free_ids
-    points = fitted_near(problem, start, ShellSettings(tolerance=1e-18, accuracy=1e-12, iterations=500))
+    points = fitted_near(problem, start, ShellSettings(tolerance=0.0, accuracy=0.0, iterations=500))
     np.testing.assert_array_equal(points[fixed], start[fixed])
     weights = NEAR_WEIGHT * np.linspace(1.0, 2.0, len(free))
     pull = np.square(weights)[:, None] * (points - start)[free]
     slope = (jacobian(problem, points).T @ problem.residuals(points)).reshape(-1, 3)
     assert np.abs(pull).max() > 1e-4
-    np.testing.assert_allclose(slope, -pull, atol=1e-8)
+    np.testing.assert_allclose(slope, -pull, atol=1e-6 * np.abs(pull).max())
 
 
 def test_near_a_solution_all_stays() -> None:
