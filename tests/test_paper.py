@@ -9,12 +9,14 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 from mixseq.mesh.topology import Topology
+from scripts.paper_study import main
 from scripts.paper_study.common.errors import band, errors, folded, text
 from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.printed import TABLE_1, TABLE_2, TABLE_3, TABLE_4, edge_dimension
-from scripts.paper_study.common.record import named, ratio_range
+from scripts.paper_study.common.record import load, named, ratio_range
 from scripts.paper_study.main import STAGES, write, write_index
 from tests.meshes import grid, tetrahedron
 
@@ -110,6 +112,18 @@ def test_pages_are_written_from_their_results(tmp_path: Path) -> None:
     assert len(written) > len(list((PAGES / "results").glob("*.json")))
     for page in written:
         assert page.read_text() == (PAGES / page.name).read_text(), f"write it: scripts/paper --pages --out {PAGES}"
+
+
+def test_stages_are_measured_with_one_thread_of_blas(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With more, the last digits of blends of large meshes depend on their number."""
+
+    def measure(*_: object) -> dict[str, object]:
+        return {"threads": [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]}
+
+    monkeypatch.setattr(main, "stage", lambda name: SimpleNamespace(measure=measure))
+    monkeypatch.setattr(Poses, "of", lambda mesh: None)
+    assert main.measured(tmp_path, "table-2", "lion")
+    assert set(load(tmp_path, "table-2")["lion"]["threads"]) == {1}
 
 
 def test_ranges_and_names() -> None:

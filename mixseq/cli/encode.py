@@ -97,7 +97,7 @@ def compressed(
 ) -> CompressedSequence:
     """Compress a sequence to a target; a target size is the size of the file, a .glb if `still` is given."""
     from mixseq.signals.model import Model
-    from mixseq_io.loading import model_or_reader
+    from mixseq_io.model_files import model_or_reader
 
     source = model_or_reader(frames)
     bodies = list(source.frames_of_bodies()) if isinstance(source, Model) else [frames]
@@ -186,7 +186,7 @@ def command(
             chosen = {"parts": parts, **options.at_frames(timing, reader.header)}
             model = compressed(reader, aim | chosen, progress, still if web else None)
         elif web:
-            from mixseq_io.verification import read_compressed  # slow to import
+            from mixseq_io.model_files import read_compressed
 
             model = read_compressed(source)
         else:

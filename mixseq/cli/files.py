@@ -53,8 +53,8 @@ VAT_EXTENSION = ".vat"
 
 
 def is_model(path: Path) -> bool:
-    """Return whether a file is a model, see `mixseq_io.loading.is_model`."""
-    from mixseq_io.loading import is_model
+    """Return whether a file is a model, see `mixseq_io.model_files.is_model`."""
+    from mixseq_io.model_files import is_model
 
     return is_model(path)
 

@@ -48,7 +48,7 @@ def command(path: Path, moments: Path | None, as_json: bool, reading: dict[str, 
         "bytes": {"total": path.stat().st_size if path.is_file() else None},
     }
     if is_model(path):
-        from mixseq_io.verification import is_compressed, read_compressed
+        from mixseq_io.model_files import is_compressed, read_compressed
 
         if is_compressed(path):
             coded = read_compressed(path)
@@ -111,7 +111,7 @@ def _moment_rows(moments: Sequence[Mapping[str, float]]) -> Rows:
 
 def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
     """Return the size in bytes, bit rates and errors of a compressed model in a file."""
-    from mixseq_io.verification import compressed_sizes
+    from mixseq_io.model_files import compressed_sizes
 
     sizes, bodies = compressed_sizes(path), [asdict(body.parameters) for body in coded.all_bodies]
     rate = 8 / (coded.header.frame_count * sum(body.header.vertex_count for body in coded.all_bodies))

@@ -40,7 +40,7 @@ def command(
         options.refuse("script", why="is applied to ORIGINAL, which is missing; name it")
     if reading and original is None:
         raise SettingsError(f"{next(iter(reading))!r} is for reading ORIGINAL, which is missing; name it")
-    from mixseq_io.loading import model_or_reader
+    from mixseq_io.model_files import model_or_reader
 
     with ExitStack() as resources:
         progress = resources.enter_context(progress_bar(quiet))

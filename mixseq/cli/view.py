@@ -391,7 +391,7 @@ def _export(
     from mixseq.viewer.export import ExportSettings, export_page
     from mixseq.viewer.export_data import page_items
     from mixseq_io.files import atomic_file
-    from mixseq_io.verification import is_compressed, read_compressed
+    from mixseq_io.model_files import is_compressed, read_compressed
 
     bound = in_diagonals_of_all(settings, map(_poses, colours.scene.items))
     compressed = (read_compressed(file) for file in files if is_model(file) and is_compressed(file))

@@ -11,11 +11,12 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast
 
+from mixseq.runtime.parallel import one_blas_thread
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.poses import ALL, Poses
 from scripts.paper_study.common.record import Json, Results, Say, load, origins, save, stamped
@@ -43,15 +44,9 @@ class Stage(Protocol):
     """A module of stages/."""
 
     MESHES: tuple[str, ...]
-
-    def measure(self, poses: Poses, folder: Path, say: Say) -> Json:
-        """Measure one mesh; pictures go to the folder."""
-
-    def page(self, results: Results) -> list[str]:
-        """Return the blocks of the page in Markdown."""
-
-    def verdict(self, results: Results) -> list[str]:
-        """Return what it shows, in sentences for the index."""
+    measure: Callable[[Poses, Path, Say], Json]  # measure one mesh; pictures go to the folder
+    page: Callable[[Results], list[str]]  # the blocks of the page in Markdown
+    verdict: Callable[[Results], list[str]]  # what it shows, in sentences for the index
 
 
 def main() -> int:
@@ -88,7 +83,8 @@ def measured(out: Path, name: str, mesh: str) -> bool:
     out.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
     try:
-        result = stage(name).measure(Poses.of(mesh), out, lambda text: say(f"{name}, {mesh}: {text}"))
+        with one_blas_thread():  # or last digits of blends would depend on the number of threads
+            result = stage(name).measure(Poses.of(mesh), out, lambda text: say(f"{name}, {mesh}: {text}"))
     except Exception:
         traceback.print_exc()
         say(f"{name}, {mesh} FAILED; what was there before stays")

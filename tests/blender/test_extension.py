@@ -108,7 +108,7 @@ def test_the_wheel_matches_its_record(tmp_path: Path) -> None:
             if digest:
                 plain = urlsafe_b64encode(sha256(wheel.read(name)).digest()).decode().rstrip("=")
                 assert digest == f"sha256={plain}"
-    assert {"mixseq/__init__.py", "mixseq_io/loading.py"} <= rows.keys()
+    assert {"mixseq/__init__.py", "mixseq_io/model_files.py"} <= rows.keys()
     assert {name.rpartition("/")[2] for name in rows if "dist-info" in name} >= {
         "METADATA",
         "WHEEL",

@@ -19,7 +19,7 @@ from mixseq.cli.group import as_bytes
 from mixseq.mesh.surface import CornerValues
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.coded.streams import Stream, StreamIndex, read_index
-from mixseq_io.verification import read_compressed
+from mixseq_io.model_files import read_compressed
 from tests.compression.encoder.test_numbering import shuffled
 from tests.meshes import bar
 
@@ -78,7 +78,7 @@ def damage(path: Path, stream: Callable[[StreamIndex], Stream]) -> None:
     """Flip a bit in the middle of a stream."""
     import h5py
 
-    from mixseq_io.verification import read_container
+    from mixseq_io.model_files import read_container
 
     chosen = stream(read_index(path, read_container(path)))
     with h5py.File(path) as file:

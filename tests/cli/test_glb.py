@@ -10,7 +10,7 @@ import pytest
 from click.testing import Result
 
 import mixseq
-from mixseq_io.verification import read_container
+from mixseq_io.model_files import read_container
 from tests.cli.test_compress import rows, succeed
 
 pytestmark = pytest.mark.slow

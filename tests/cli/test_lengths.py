@@ -15,7 +15,7 @@ import mixseq
 from mixseq.cli.group import length_text
 from mixseq.cli.options import in_diagonals, parse_length
 from mixseq.errors import SettingsError
-from mixseq_io.verification import read_compressed
+from mixseq_io.model_files import read_compressed
 
 Run = Callable[..., Result]
 

@@ -23,9 +23,8 @@ from scripts.paper_study.common.baselines import (
     membrane_roots,
     turned,
 )
-from scripts.paper_study.common.damage import apart
 from scripts.paper_study.common.errors import errors
-from scripts.paper_study.common.poses import Poses, between
+from scripts.paper_study.common.poses import Poses, apart, between
 from scripts.paper_study.common.record import Results
 from scripts.paper_study.stages.baselines import compared, page
 from tests.meshes import bar, grid, rotation, topology_of, tube
@@ -155,7 +154,7 @@ def test_a_page_has_what_was_compared(tmp_path: Path) -> None:
     assert (tmp_path / "picture.png").exists()
     assert found["ARAP"]["turned"] < 1e-9 and -1 < found["vertices"]["at"]["0.5"]["volume"] < 0
     results: Results = {
-        "lion": {"title": "bar", "methods": dict.fromkeys(("ARAP", "skin", "NRIC", "MixIT"), found["ARAP"])}
+        "lion": {"title": "bar", "methods": dict.fromkeys(("ARAP", "skin", "NRIC", "geodesic", "MixIT"), found["ARAP"])}
     }
     results["lion"]["placed"] = [1.0, 2.0, 3.0]
     assert "on lion: lengths 1, angles 1;" in page(results)[-1]

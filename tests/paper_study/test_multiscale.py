@@ -13,7 +13,7 @@ import mixseq
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap_angles
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
-from mixseq.shells.fitting import ShellReport, ShellSettings
+from mixseq.shells.fitting import ShellReport
 from mixseq.spaces.edge import ShellTargets
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float
@@ -48,7 +48,7 @@ class Rebuilder:
 
     def rebuild(self, lengths: Float, angles: Float) -> tuple[Float, list[ShellReport]]:
         weights = np.divide(1.0, lengths, out=np.zeros_like(lengths), where=lengths > 1e-12)
-        return self.projection.fit(wanted(lengths, angles, weights), ShellSettings())
+        return self.projection.fit(wanted(lengths, angles, weights))
 
     def distance(self, rows: Float, points: Float) -> float:
         """Largest distance of a vertex from a mesh ``(V, 3)``, when every piece is moved rigidly onto it."""
@@ -205,7 +205,7 @@ def test_seams_do_not_turn_edges_round() -> None:
     below, short = lengths.copy(), lengths.copy()
     below[::9], short[::9] = -0.5 * lengths[::9], 1e-6 * lengths[::9]
     weights = 1.0 / lengths
-    first, second = (this.projection.fit(wanted(each, angles, weights), ShellSettings())[0] for each in (below, short))
+    first, second = (this.projection.fit(wanted(each, angles, weights))[0] for each in (below, short))
     np.testing.assert_allclose(first, second, atol=1e-9)
 
 

@@ -274,7 +274,10 @@ class Playback(Decodable, PickledWithoutCaches):
     @cached_property
     def parts(self) -> Index | None:
         """Part ``(F,)`` of every triangle, decoded when first needed, which takes a tenth of opening a file."""
-        return decode_face_labels(self.labels, self.header.faces)
+        try:
+            return decode_face_labels(self.labels, self.header.faces)
+        except FormatError as error:
+            raise FormatError(f"{self.header.file_name}: {error}") from error
 
     @property
     def inbetween_basis(self) -> SpatialBasis:

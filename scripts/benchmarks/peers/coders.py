@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 import mixseq
 from mixseq.errors import InvalidSequenceError
 from mixseq.types import Float, Index
-from mixseq_io.verification import compressed_sizes
+from mixseq_io.model_files import compressed_sizes
 from scripts.benchmarks.peers.packing import from_zstd, numbers, planes, to_zstd, width
 
 KG_TARGETS = (1.0, 0.5, 0.1, 0.05, 0.02)

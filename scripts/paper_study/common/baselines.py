@@ -33,13 +33,11 @@ import numpy as np
 from scipy import sparse
 
 import mixseq
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, triangle_areas, wrap_angles
 from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.mesh.topology import Topology
-from mixseq.runtime.parallel import one_blas_thread
 from mixseq.shells.fitting import ShellReport
 from mixseq.shells.solvers import factorise
-from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.types import Float, Index, IntArray
 from scripts.paper_study.common.methods import Blended, Edge, Method
@@ -52,15 +50,12 @@ SEGMENTS = 4
 """Segments of the geodesic, whose inner shapes have the weights 1/4, 1/2 and 3/4."""
 
 MAX_STEPS, MAX_DAMPING = 60, 1e8
-TOLERANCE = 1e-3
-"""Predicted decrease of an energy, as a share of it, below which it is a minimum."""
+TOLERANCE = 1e-3  # predicted decrease of an energy, as a share of it, below which it is a minimum
 
 
 @dataclass(frozen=True, eq=False)
-class Registered:
+class Registered(Method):
     """Two poses in diagonals, the second moved rigidly onto the first."""
-
-    poses: Poses
 
     @cached_property
     def pair(self) -> Float:
@@ -68,11 +63,9 @@ class Registered:
         return np.stack([first, transform_points(second, *kabsch(second, first))])
 
     def prepare(self) -> None:
-        """Do what is done once."""
         _ = self.pair
 
     def at(self, weights: Float) -> Blended:
-        """Blend with weights ``(2,)``."""
         return Blended(np.tensordot(weights, self.pair, 1) * self.poses.diagonal, [])
 
 
@@ -171,12 +164,8 @@ class Elastic:
     def weights(self) -> tuple[Float, Float]:
         """Roots of the weights of lengths ``(E,)`` and of angles ``(H,)``."""
         topology = self.topology
-        lengths = np.mean([edge_lengths(x, topology.edges) for x in self.shapes], axis=0)
-        corners = self.shapes[:, topology.faces]
-        areas = np.linalg.norm(
-            np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]), axis=2
-        )
-        thirds = np.repeat(areas.mean(axis=0) / 6, 3)
+        lengths = edge_lengths(self.shapes, topology.edges).mean(axis=0)
+        thirds = np.repeat(triangle_areas(self.shapes, topology.faces).mean(axis=0) / 3, 3)
         spread = np.maximum(np.bincount(topology.face_edges.reshape(-1), thirds, minlength=len(lengths)), 1e-12)
         bending = self.thickness * lengths[topology.hinge_edges] / np.sqrt(spread[topology.hinge_edges])
         return np.sqrt(spread) / np.maximum(lengths, 1e-9), bending
@@ -210,7 +199,7 @@ class Nric(Registered):
     @cached_property
     def shells(self) -> Edge:
         """Discrete shells, from which the search starts: they collapse no faces."""
-        return Edge(self.poses, EdgeSettings("dso"))
+        return Edge(self.poses)
 
     def prepare(self) -> None:
         _ = self.elastic.weights, self.shells.vectors
@@ -236,8 +225,7 @@ class Nric(Registered):
             away = residuals(x)
             return Quadratic(float(away @ away), jacobian.T @ away, sparse.csr_array(jacobian.T @ jacobian))
 
-        with one_blas_thread():
-            x, report = minimise(value, model, self.shells.at(weights).points / self.poses.diagonal)
+        x, report = minimise(value, model, self.shells.at(weights).points / self.poses.diagonal)
         return Blended(x * self.poses.diagonal, [report])
 
 
@@ -274,8 +262,7 @@ class Geodesic(Nric):
     def path(self) -> tuple[Float, ShellReport]:
         """The inner shapes ``(K - 1, V, 3)``, found from discrete shells."""
         starts = [self.shells.at(np.array([1 - w, w])).points for w in np.arange(1, SEGMENTS) / SEGMENTS]
-        with one_blas_thread():
-            return minimise(self.value, self.model, np.stack(starts) / self.poses.diagonal)
+        return minimise(self.value, self.model, np.stack(starts) / self.poses.diagonal)
 
     def prepare(self) -> None:
         _ = self.path
@@ -284,8 +271,8 @@ class Geodesic(Nric):
         """Return all shapes of a path, squared sides of their faces ``(K + 1, F, 3)``, and angles ``(K + 1, H)``."""
         topology = self.poses.topology
         shapes = np.concatenate([self.pair[:1], inner, self.pair[1:]])
-        sides = np.stack([np.square(edge_lengths(x, topology.edges))[topology.face_edges] for x in shapes])
-        return shapes, sides, np.stack([dihedral_angles(x, topology.hinges) for x in shapes])
+        sides = np.square(edge_lengths(shapes, topology.edges))[:, topology.face_edges]
+        return shapes, sides, dihedral_angles(shapes, topology.hinges)
 
     def value(self, inner: Float) -> float:
         """Return the energy of a path."""
@@ -327,8 +314,8 @@ class Geodesic(Nric):
     def _tension(self, pull: Float) -> sparse.csr_array:
         """Return what edges ``(E,)`` under tension add to the second derivatives: a Laplacian ``(3V, 3V)``."""
         edges, count = self.poses.topology.edges, self.poses.topology.vertex_count
-        ends = np.arange(len(edges) + 1) * 2, np.tile([-1.0, 1.0], len(edges))
-        incidence = sparse.csr_array((ends[1], edges.reshape(-1), ends[0]), shape=(len(edges), count))
+        ends = np.tile([-1.0, 1.0], len(edges)), edges.reshape(-1), np.arange(len(edges) + 1) * 2
+        incidence = sparse.csr_array(ends, shape=(len(edges), count))
         laplacian = incidence.T @ sparse.diags_array(pull) @ incidence
         return sparse.csr_array(sparse.kron(laplacian, sparse.eye_array(3)))
 

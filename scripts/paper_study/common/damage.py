@@ -8,28 +8,18 @@ import numpy as np
 
 from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.rigid import kabsch, transform_points
+from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.pictures.scene import View, to_y_up
 from mixseq.shells.face_frames import triangle_frames
-from mixseq.types import Float, Index
+from mixseq.types import Index, index_mask
 from scripts.paper_study.common.poses import Poses
 
-OPPOSITE = -0.7
-"""Cosine of normals below which one side of a limb is opposite the other."""
-
-BEYOND = 1.5
-"""Distance by which a patch is pushed, over the thickness of the limb."""
-
-SIZE = 0.6
-"""Radius of the patch, over the thickness of the limb."""
-
-
-SEEN = 0.5
-"""Cosine between normal and camera above which a patch is seen."""
-
-MAX_TRIED = 400
-"""Approximate number of vertices that are tried."""
+OPPOSITE = -0.7  # cosine of normals below which one side of a limb is opposite the other
+BEYOND = 1.5  # distance by which a patch is pushed, over the thickness of the limb
+SIZE = 0.6  # radius of the patch, over the thickness of the limb
+SEEN = 0.5  # cosine between normal and camera above which a patch is seen
+MAX_TRIED = 400  # approximate number of vertices that are tried
 
 
 def noisy(poses: Poses, share: float, seed: int) -> Poses:
@@ -68,10 +58,8 @@ def pushed(poses: Poses, rigid: Index, view: View) -> Pushed:
     camera; there is a ValueError without one.
     """
     x, faces = poses.points[1], poses.sequence.faces
-    triangles = Polygons(np.full(len(faces), 3), faces.reshape(-1))
-    normals = corner_normals(x[None], triangles)[0].astype(np.float64)
-    inside = np.zeros(len(x), dtype=bool)
-    inside[rigid] = True
+    normals = corner_normals(x[None], Polygons.from_triangles(faces))[0].astype(np.float64)
+    inside = index_mask(rigid, len(x))
     edge = float(poses.lengths[1].mean())
     best: Pushed | None = None
     seen = rigid[to_y_up(normals[rigid], poses.sequence.up_axis) @ view.rotation[2] > SEEN]
@@ -91,9 +79,3 @@ def pushed(poses: Poses, rigid: Index, view: View) -> Pushed:
     if best is None:
         raise ValueError("no part is thin and large enough to push a patch of it through the other side")
     return best
-
-
-def apart(first: Float, second: Float, fitted: Index | slice = slice(None)) -> Float:
-    """Return how far vertices ``(V,)`` of two meshes are apart when they are moved onto each other, by some of them."""
-    rotation, translation = kabsch(first[fitted], second[fitted])
-    return np.asarray(np.linalg.norm(transform_points(first, rotation, translation) - second, axis=1))

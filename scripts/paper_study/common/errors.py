@@ -16,21 +16,14 @@ from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.types import Float
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.poses import APART, PATH, Poses
-from scripts.paper_study.common.record import Json
+from scripts.paper_study.common.record import Json, Results
 
 LENGTH_SHARES = (1.0, 0.999, 0.99)
 ANGLE_SHARES = (1.0, 0.9999, 0.999, 0.99)
 """The paper draws 100, 99.9 and 99 % of the edges, and 100, 99.99 and 99.9 % of the angles."""
 
-ROUNDING = 1e-6
-"""Errors below this are shown as none."""
-
-SHORT = 1e-9
-"""Edges shorter than this, in diagonals, have no relative error."""
-
-
-FOLDED = 0.6
-"""Ratio of distances of points along a limb below which a blend counts as folded."""
+ROUNDING = 1e-6  # errors below this are shown as none
+FOLDED = 0.6  # ratio of distances of points along a limb below which a blend counts as folded
 
 
 class Errors(NamedTuple):
@@ -57,8 +50,7 @@ class Errors(NamedTuple):
 def errors(poses: Poses, weights: Float, points: Float) -> Errors:
     """Compare a blend ``(V, 3)`` of poses with what it should be."""
     lengths, angles = poses.target(weights)
-    long = np.flatnonzero(lengths > SHORT * poses.diagonal)
-    strain = edge_lengths(points, poses.topology.edges)[long] / lengths[long] - 1.0
+    strain = edge_lengths(points, poses.topology.edges) / lengths - 1.0
     degrees = np.degrees(wrap_angles(dihedral_angles(points, poses.topology.hinges) - angles))
     ends, shortest = poses.along_limbs
     distances = np.linalg.norm(points[ends[:, 1]] - points[ends[:, 0]], axis=1)
@@ -78,13 +70,7 @@ def folded(summaries: Mapping[str, Json]) -> str:
 
 
 def band(values: Float, share: float) -> tuple[float, float]:
-    """Return the smallest and the largest of a share of the values, those that are nearest to zero.
-
-    Examples
-    --------
-    >>> band(np.array([-3.0, -1.0, 0.5, 9.0]), 0.5)
-    (-1.0, 0.5)
-    """
+    """Return the smallest and the largest of a share of the values, those that are nearest to zero, or zero."""
     size = np.abs(values)
     inside = values[size <= np.quantile(size, share, method="inverted_cdf")]
     return min(float(inside.min()), 0.0), max(float(inside.max()), 0.0)
@@ -109,3 +95,11 @@ def error_table(head: str, summaries: Json, columns: Mapping[str, Callable[[Json
         for name, found in summaries.items()
     ]
     return markdown_table((head, *more, "lengths, 99 / 99.9 / 100 %", "degrees"), rows)
+
+
+def sections(results: Results, picture: str, caption: str, table: Callable[[Json], str]) -> list[str]:
+    """Return a heading, a picture and a table for every mesh."""
+    blocks = []
+    for mesh, result in results.items():
+        blocks += [f"## {mesh}: {result['title']}", f"![{caption}, {mesh}]({picture}-{mesh}.png)", table(result)]
+    return blocks

@@ -18,14 +18,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from mixseq.choices import PlacementName
-from mixseq.runtime.parallel import one_blas_thread
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.shells.fitting import Patch, ShellProblem, ShellReport, ShellSettings, fit_shell, rebuild_patch
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
@@ -37,7 +36,7 @@ from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.registered import PaperSpace
 from scripts.paper_study.msgi.multiscale import MultiScale
 
-WIDTH = 3
+WIDTH, DSO = 3, EdgeSettings("dso")
 
 
 class Blended(NamedTuple):
@@ -61,22 +60,26 @@ class Clock:
         return self._last - last
 
 
-class Method(Protocol):
+@dataclass(frozen=True, eq=False)
+class Method:
     """A way to blend poses."""
 
+    poses: Poses
+
     def prepare(self) -> None:
-        """Do what is done once."""
+        """Do what is done once; by default with a first blend."""
+        self.at(np.full(len(self.poses.points), 1 / len(self.poses.points)))
 
     def at(self, weights: Float) -> Blended:
         """Blend with weights ``(n,)``."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
-class Edge:
+class Edge(Method):
     """Blends in S_e."""
 
-    poses: Poses
-    settings: EdgeSettings
+    settings: EdgeSettings = DSO
 
     @cached_property
     def space(self) -> EdgeSpace:
@@ -88,12 +91,14 @@ class Edge:
     def vectors(self) -> Float:
         return self.space.encode(self.poses.points)
 
-    def prepare(self) -> None:
-        self.at(np.full(len(self.vectors), 1 / len(self.vectors)))
+    def fit(self, shape: Float) -> tuple[Float, list[ShellReport]]:
+        """Return rows ``(N, 3)`` with the lengths and angles of a shape, in any pose."""
+        return self.space.projection.fit(self.space.targets(shape), self.space.shell)
 
     def at(self, weights: Float) -> Blended:
-        points, (reports,) = self.space.decode_with_reports((weights @ self.vectors)[None])
-        return Blended(points[0], reports)
+        (shape,), (turns,), (centres,) = self.space.split((weights @ self.vectors)[None])
+        rows, reports = self.fit(shape)
+        return Blended(self.space.place_pieces(rows, turns, centres), reports)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,47 +109,36 @@ class ManyScales(Edge):
     def projection(self) -> MultiScale:
         return MultiScale(self.poses.topology, self.space.pieces)
 
-    def at(self, weights: Float) -> Blended:
-        shapes, turns, centres = self.space.split((weights @ self.vectors)[None])
-        with one_blas_thread():
-            rows, reports = self.projection.fit(self.space.targets(shapes[0]), self.space.shell)
-            return Blended(self.space.place_pieces(rows, turns[0], centres[0]), reports)
+    def fit(self, shape: Float) -> tuple[Float, list[ShellReport]]:
+        return self.projection.fit(self.space.targets(shape))
 
 
 @dataclass(frozen=True, eq=False)
 class FromPose(Edge):
     """Gauss-Newton in S_e that starts from the first pose, of meshes in one piece."""
 
-    def problem(self, weights: Float) -> tuple[ShellProblem, Float]:
+    def problem(self, shape: Float) -> tuple[ShellProblem, Float]:
         """Return what is to be solved, and the first pose ``(V, 3)`` as a start."""
         space, shell = self.space, self.space.discrete_shell
         (piece,) = (each for each in shell.shell_pieces if each is not None)
-        (shape,), _, _ = space.split((weights @ self.vectors)[None])
-        start = self.poses.points[0][shell.pieces.vertices[0]] / space.scale
+        start = space.reference[shell.pieces.vertices[0]]
         return shell.problem(0, piece, space.targets(shape), space.shell), start
 
-    def at(self, weights: Float) -> Blended:
-        _, turns, centres = self.space.split((weights @ self.vectors)[None])
-        with one_blas_thread():
-            rows, report = fit_shell(*self.problem(weights), self.space.shell)
-        return Blended(self.space.place_pieces(rows, turns[0], centres[0]), [report])
+    def fit(self, shape: Float) -> tuple[Float, list[ShellReport]]:
+        points, report = fit_shell(*self.problem(shape), self.space.shell)
+        return points, [report]
 
 
 @dataclass(frozen=True, eq=False)
-class Mixed:
+class Mixed(Method):
     """Blends in S_m."""
 
-    poses: Poses
     decomposition: Decomposition
 
     @property
     def rigid(self) -> NDArray[np.bool_]:
         """Mark the faces ``(F,)`` of parts, whose lengths follow from vertices."""
         raise NotImplementedError
-
-    def prepare(self) -> None:
-        """Do what is done once, and a first blend."""
-        self.at(np.full(len(self.poses.points), 1 / len(self.poses.points)))
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend; return seconds to a first mesh, of registration and stitching, and of steps from there."""
@@ -196,15 +190,14 @@ class Free(Anchored):
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend: a first mesh, and steps; there is no stitching."""
         space, assembly, clock = self.space, self.space.assembly, Clock()
-        with one_blas_thread():
-            vector = (weights @ self.vectors)[None]
-            blocks = space.split(vector)
-            frame = FreeFrame(blocks.lengths[0], blocks.angles[0], blocks.rest_vertices[0], space.skin(vector)[0])
-            lengths, angles = assembly.targets(frame)
-            start = assembly.integrate(frame, lengths, angles)
-            first = clock.lap()
-            relaxed = assembly.shell.relax(start, lengths, angles, assembly.steps)
-            points = assembly.place_components(frame.skinned_vertices, relaxed.points)
+        vector = (weights @ self.vectors)[None]
+        blocks = space.split(vector)
+        frame = FreeFrame(blocks.lengths[0], blocks.angles[0], blocks.rest_vertices[0], space.skin(vector)[0])
+        lengths, angles = assembly.targets(frame)
+        start = assembly.integrate(frame, lengths, angles)
+        first = clock.lap()
+        relaxed = assembly.shell.relax(start, lengths, angles, assembly.steps)
+        points = assembly.place_components(frame.skinned_vertices, relaxed.points)
         return Blended(points * space.scale, []), (first, 0.0, clock.lap())
 
 
@@ -258,16 +251,15 @@ class Printed(Mixed):
         """Blend step by step."""
         clock, joints, reports = Clock(), [], []
         typical = self.space.length_weights
-        with one_blas_thread():
-            frame = self.space.frame(weights)
-            for joint, patch in zip(self.decomposition.joints, self.patches, strict=True):
-                wanted = frame.lengths[joint.edge_ids], frame.angles[joint.hinge_ids], typical[joint.edge_ids]
-                nowhere = np.zeros((len(patch.fixed_mask), 3))
-                points, report = rebuild_patch(patch, *wanted, nowhere, ShellSettings())
-                joints.append(points)
-                reports.append(report)
-            first = clock.lap()
-            mesh = self.space.assembled(frame, joints)
+        frame = self.space.frame(weights)
+        for joint, patch in zip(self.decomposition.joints, self.patches, strict=True):
+            wanted = frame.lengths[joint.edge_ids], frame.angles[joint.hinge_ids], typical[joint.edge_ids]
+            nowhere = np.zeros((len(patch.fixed_mask), 3))
+            points, report = rebuild_patch(patch, *wanted, nowhere, ShellSettings())
+            joints.append(points)
+            reports.append(report)
+        first = clock.lap()
+        mesh = self.space.assembled(frame, joints)
         return Blended(mesh * self.poses.diagonal, reports), (first, clock.lap(), 0.0)
 
 
@@ -296,9 +288,9 @@ def strips(poses: Poses, labels: Index, width: int = WIDTH, full: bool = False) 
 
 
 METHODS: dict[str, Callable[[Poses, Index], Method]] = {
-    "MSGI": lambda poses, _: ManyScales(poses, EdgeSettings("dso")),
-    "DSO, from a pose": lambda poses, _: FromPose(poses, EdgeSettings("dso")),
-    "DSO": lambda poses, _: Edge(poses, EdgeSettings("dso")),
+    "MSGI": lambda poses, _: ManyScales(poses),
+    "DSO, from a pose": lambda poses, _: FromPose(poses),
+    "DSO": lambda poses, _: Edge(poses),
     "S_e, steps": lambda poses, _: Edge(poses, EdgeSettings("steps")),
     "MixIT, printed": lambda poses, labels: Printed(poses, strips(poses, labels)),
     "MixIT, whole joints": lambda poses, labels: Printed(poses, strips(poses, labels), complete=True),

@@ -19,11 +19,8 @@ from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses, between
 
 DPI = 80
-BRIGHTEST = 0.3
-"""Length error that has the brightest colour."""
-
-CLOSE = 0.13
-"""Half the width of a close-up, in diagonals."""
+BRIGHTEST = 0.3  # length error that has the brightest colour
+CLOSE = 0.13  # half the width of a close-up, in diagonals
 
 
 class Panel(NamedTuple):
@@ -42,19 +39,17 @@ def held(part_of_face: Index, rigid: NDArray[np.bool_]) -> Float:
 
 def heat(poses: Poses, values: Float, most: float) -> Float:
     """Return colours ``(F, 3)`` of values at vertices ``(V,)``, from 0 to `most`."""
-    from matplotlib import cm
+    from matplotlib import colormaps
 
     of_face = values[poses.sequence.faces].max(axis=1) / most
-    return np.asarray(cm.ScalarMappable(cmap="viridis").cmap(np.clip(of_face, 0, 1)))[:, :3]
+    return np.asarray(colormaps["viridis"](np.clip(of_face, 0, 1)))[:, :3]
 
 
 def length_errors(poses: Poses, points: Float) -> Float:
     """Return colours ``(F, 3)`` of the largest error of the edges at every vertex, half-way, to `BRIGHTEST`."""
     lengths, _ = poses.target(between(0.5))
-    edges = poses.topology.edges
-    strain = np.abs(edge_lengths(points, edges) / np.maximum(lengths, 1e-9 * poses.diagonal) - 1)
-    worst = np.zeros(len(points))
-    np.maximum.at(worst, edges, strain[:, None])
+    worst, edges = np.zeros(len(points)), poses.topology.edges
+    np.maximum.at(worst, edges, np.abs(edge_lengths(points, edges) / lengths - 1)[:, None])
     return heat(poses, worst, BRIGHTEST)
 
 

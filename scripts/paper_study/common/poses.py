@@ -45,23 +45,15 @@ MESHES = {
 """The four meshes of the paper that there are data of, and a second pair of its horse. Which frames the paper blends
 is not told. Those of the gallops and of the horse are the farthest; `Poses.rank` has all."""
 
-FINE = {"elephant_fine": Source("elephant_gallop", (0, 5), (0, 4, 8, 12, 16, 20), 8, "armadillo", fine=True)}
-"""As large as the paper's largest mesh, for times."""
-
-ALL = MESHES | FINE
+ALL = MESHES | {"elephant_fine": MESHES["elephant_gallop"]._replace(printed="armadillo", fine=True)}
+"""With one as large as the paper's largest mesh, for times."""
 
 PAPER = tuple(mesh for mesh in MESHES if mesh != "horse_gallop")
 """The meshes of the paper."""
 
-RANK_STRIDE = 3
-"""Stride of the vertices by whose distances pairs of frames are ranked."""
-
-MAX_FRAMES = 24
-"""Largest number of frames of an animation that parts are found from."""
-
-LIMB_VERTICES = 200
-"""Largest number of vertices that distances along limbs are taken of."""
-
+RANK_STRIDE = 3  # stride of the vertices by whose distances pairs of frames are ranked
+MAX_FRAMES = 24  # largest number of frames of an animation that parts are found from
+LIMB_VERTICES = 200  # largest number of vertices that distances along limbs are taken of
 APART, PATH = 0.2, 1.5
 """Two vertices of a limb are farther apart than this, in diagonals, by a path at most that many times as long."""
 
@@ -88,11 +80,11 @@ class Poses:
 
     @property
     def rank(self) -> tuple[int, int]:
-        """Number of pairs of frames of the animation that are as far apart as this one or farther, and of all pairs."""
+        """Number of pairs of frames of the animation that are as far apart as these or farther, and of all pairs."""
         frames = self.sequence.points[:, ::RANK_STRIDE].astype(np.float64)
-        own = _apart(*(frames[number] for number in self.frames[:2]))
-        others = [_apart(first, second) for first, second in combinations(frames, 2)]
-        return sum(other >= own for other in others), len(others)
+        pairs: list[tuple[int, ...]] = list(combinations(range(len(frames)), 2))
+        away = np.array([np.square(apart(frames[i], frames[j])).sum() for i, j in pairs])
+        return int((away >= away[pairs.index(self.frames)]).sum()), len(pairs)
 
     def moved(self, points: Float) -> Poses:
         """Return the same with other vertices."""
@@ -125,12 +117,12 @@ class Poses:
     @cached_property
     def lengths(self) -> Float:
         """Edge lengths ``(n, E)``."""
-        return np.stack([edge_lengths(x, self.topology.edges) for x in self.points])
+        return edge_lengths(self.points, self.topology.edges)
 
     @cached_property
     def angles(self) -> Float:
         """Dihedral angles ``(n, H)``, from pose to pose by the shorter way round."""
-        return unwrap_angles(np.stack([dihedral_angles(x, self.topology.hinges) for x in self.points]))
+        return unwrap_angles(dihedral_angles(self.points, self.topology.hinges))
 
     def distances(self, starts: list[int]) -> Float:
         """Return the lengths ``(n, V)`` of the shortest paths of edges from vertices, in diagonals."""
@@ -144,7 +136,8 @@ class Poses:
         count = self.topology.vertex_count
         chosen = np.arange(0, count, -(-count // LIMB_VERTICES))
         first, second = np.triu_indices(len(chosen), 1)
-        shortest = np.min([np.linalg.norm(x[chosen[second]] - x[chosen[first]], axis=1) for x in self.points], axis=0)
+        sides = self.points[:, chosen[second]] - self.points[:, chosen[first]]
+        shortest = np.linalg.norm(sides, axis=2).min(axis=0)
         paths = self.distances(chosen.tolist())[first, chosen[second]] * self.diagonal
         kept = (shortest > APART * self.diagonal) & (paths < PATH * shortest)
         return np.stack([chosen[first], chosen[second]], axis=1)[kept], shortest[kept]
@@ -154,9 +147,10 @@ class Poses:
         return weights @ self.lengths, weights @ self.angles
 
 
-def _apart(first: Float, second: Float) -> float:
-    """Return the sum of squared distances of vertices ``(V, 3)``, up to a rigid motion."""
-    return float(np.square(transform_points(first, *kabsch(first, second)) - second).sum())
+def apart(first: Float, second: Float, fitted: Index | slice = slice(None)) -> Float:
+    """Return how far vertices ``(V,)`` of two meshes are apart when they are moved onto each other, by some of them."""
+    rotation, translation = kabsch(first[fitted], second[fitted])
+    return np.asarray(np.linalg.norm(transform_points(first, rotation, translation) - second, axis=1))
 
 
 def between(weight: float) -> Float:

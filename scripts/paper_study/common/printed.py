@@ -25,8 +25,7 @@ class Speeds(NamedTuple):
     interpolation: int
     stitching: int
     total: int
-    speed_up: float
-    """Total of MSGI over total of MixIT."""
+    speed_up: float  # total of MSGI over total of MixIT
 
 
 class Dimensions(NamedTuple):

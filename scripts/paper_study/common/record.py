@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -57,24 +57,18 @@ def named(meshes: Iterable[str]) -> str:
     return ", ".join(meshes) or "none"
 
 
-def machine_line(result: Mapping[str, Any]) -> str:
-    """Return the machine that something was measured on, in one line."""
-    return ", ".join(f"{key} {value}" for key, value in result["machine"].items())
+def by_mesh(results: Results, show: Callable[[Json], str], separator: str = ", ") -> str:
+    """Say something of every mesh: ``lion 1.2, cat 0.9``."""
+    return separator.join(f"{mesh} {show(result)}" for mesh, result in results.items())
 
 
 def origins(results: Results) -> list[str]:
     """Return the end of a page: when and on what everything was measured."""
-    machines = list(dict.fromkeys(machine_line(result) for result in results.values()))
+    machine_of = {mesh: ", ".join(" ".join(each) for each in r["machine"].items()) for mesh, r in results.items()}
+    machines = list(dict.fromkeys(machine_of.values()))
     rows = [
-        (
-            mesh,
-            r["measured"],
-            f"{r['seconds']:.0f}",
-            f"{r['load']:.1f}",
-            r["commit"],
-            str(1 + machines.index(machine_line(r))),
-        )
-        for mesh, r in results.items()
+        (mesh, r["measured"], f"{r['seconds']:.0f}", f"{r['load']:.1f}", r["commit"], f"{1 + machines.index(machine)}")
+        for (mesh, r), machine in zip(results.items(), machine_of.values(), strict=True)
     ]
     table = markdown_table(("mesh", "measured", "s", "load", "commit", "machine"), rows)
     note = (

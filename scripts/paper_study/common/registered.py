@@ -20,6 +20,7 @@ from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths, l
 from mixseq.mesh.rigid import mean_shape, transform_points
 from mixseq.mesh.rotations import align_quat_signs, matrix_to_quat, quat_to_matrix
 from mixseq.segmentation.joints import Decomposition
+from mixseq.shells.solvers import index_of
 from mixseq.spaces.pieces import align_parts
 from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses
@@ -30,16 +31,11 @@ from scripts.paper_study.common.stitching import Seams, stitch
 class PaperFrame(NamedTuple):
     """A point of S_m: p parts with N vertices in all, in diagonals and radians."""
 
-    lengths: Float
-    angles: Float
-    """Lengths ``(E,)`` and angles ``(H,)``: blended where joints have them, else of the blended part."""
-
-    parts: Float
-    """Aligned vertices ``(N, 3)`` of all parts."""
-
-    rotations: Float
-    centres: Float
-    """Poses of the parts ``(p, 4), (p, 3)``, of which the first of a group counts; quaternions of any length."""
+    lengths: Float  # (E,) lengths: blended where joints have them, else of the blended part
+    angles: Float  # (H,) angles, likewise
+    parts: Float  # (N, 3) aligned vertices of all parts
+    rotations: Float  # (p, 4) quaternions of any length of the parts, of which the first of a group counts
+    centres: Float  # (p, 3) their centres
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +44,7 @@ class PaperSpace:
 
     poses: Poses
     decomposition: Decomposition
-    complete: bool = False
-    """Whether joints have the lengths and angles that a part has as well."""
+    complete: bool = False  # whether joints have the lengths and angles that a part has as well
 
     @cached_property
     def shapes(self) -> Float:
@@ -75,11 +70,9 @@ class PaperSpace:
         """Rows of vertices ``(n, k)`` in the first part that has all k of them, -1 where none has."""
         result, start = np.full(vertices.shape, -1, dtype=np.int64), 0
         for part in self.decomposition.parts:
-            place = np.full(self.poses.topology.vertex_count, -1, dtype=np.int64)
-            place[part] = start + np.arange(len(part))
-            rows = place[vertices]
+            rows = index_of(part, self.poses.topology.vertex_count)[vertices]
             inside = (rows >= 0).all(axis=1) & (result[:, 0] < 0)
-            result[inside] = rows[inside]
+            result[inside] = start + rows[inside]
             start += len(part)
         return result
 
@@ -108,12 +101,11 @@ class PaperSpace:
     def frame(self, weights: Float) -> PaperFrame:
         """Blend poses with weights ``(T,)``."""
         parts, rotations, centres = (np.tensordot(weights, each, 1) for each in self.aligned)
-        edges, hinges = self._rows
-        lengths = edge_lengths(parts, np.maximum(edges, 0))
-        angles = dihedral_angles(parts, np.maximum(hinges, 0))
-        blended, blended_angles = self.poses.target(weights)
-        mine, blended = self.blended_edges, blended / self.poses.diagonal
-        lengths[mine] = clamp_lengths(blended[mine], self.length_weights[mine])
+        edges, hinges = (np.maximum(rows, 0) for rows in self._rows)
+        lengths, angles = edge_lengths(parts, edges), dihedral_angles(parts, hinges)
+        blended_lengths, blended_angles = self.poses.target(weights)
+        mine = self.blended_edges
+        lengths[mine] = clamp_lengths(blended_lengths[mine] / self.poses.diagonal, self.length_weights[mine])
         angles[self.blended_hinges] = blended_angles[self.blended_hinges]
         return PaperFrame(lengths, angles, parts, rotations, centres)
 
@@ -143,14 +135,8 @@ class PaperSpace:
         Edges of joints have the blended lengths, as far as joints have them, and others their own.
         """
         lengths = np.where(self.blended_edges, frame.lengths, np.nan)
-        placed = self._placed(frame, np.concatenate([frame.parts, *joints]))
-        return stitch(self.seams, placed, lengths)
-
-    def _placed(self, frame: PaperFrame, points: Float) -> Float:
-        """Register all pieces ``(N, 3)``, parts and then joints, and move them by the poses."""
-        overlaps = self.overlaps
+        overlaps, points = self.overlaps, np.concatenate([frame.parts, *joints])
         rotation, translation = register(overlaps, points)
         turns = quat_to_matrix(frame.rotations)[overlaps.group]
-        to_world = turns @ rotation
-        centre = transform_points(translation[:, None], turns, frame.centres[overlaps.group])[:, 0]
-        return np.asarray(np.einsum("nij,nj->ni", to_world[overlaps.owner], points) + centre[overlaps.owner])
+        centres = transform_points(translation[:, None], turns, frame.centres[overlaps.group])[:, 0]
+        return stitch(self.seams, overlaps.move(points, turns @ rotation, centres), lengths)

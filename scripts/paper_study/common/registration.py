@@ -21,7 +21,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.mesh.rigid import kabsch, nearest_rotations
+from mixseq.mesh.rigid import kabsch, nearest_rotations, transform_points
+from mixseq.mesh.rotations import rotate_vectors
 from mixseq.types import Float, Index
 
 
@@ -29,23 +30,12 @@ from mixseq.types import Float, Index
 class Overlaps:
     """The vertices that pieces share. Points of all pieces are kept in one array, piece after piece."""
 
-    sizes: Index
-    """Number of vertices ``(n,)`` of every piece."""
-
-    pieces: Index
-    """The two pieces ``(P, 2)`` of every pair of copies, the first one with the lower number."""
-
-    rows: Index
-    """Rows ``(P, 2)`` of the two copies."""
-
-    group: Index
-    """First piece ``(n,)`` of the pieces that overlaps hold together."""
-
-    tree: Index
-    """Parent ``(n,)`` of every piece in the spanning tree of its group, -1 for the first piece."""
-
-    order: Index
-    """Pieces ``(n,)``, parents before children."""
+    sizes: Index  # (n,) number of vertices of every piece
+    pieces: Index  # (P, 2) the pieces of every pair of copies, the first one with the lower number
+    rows: Index  # (P, 2) rows of the two copies
+    group: Index  # (n,) first piece of the pieces that overlaps hold together
+    tree: Index  # (n,) parent of every piece in the spanning tree of its group, -1 for the first piece
+    order: Index  # (n,) pieces, parents before children
 
     @classmethod
     def of(cls, vertices: list[Index], shapes: list[Float]) -> Overlaps:
@@ -55,19 +45,15 @@ class Overlaps:
         """
         sizes = np.array([len(v) for v in vertices], dtype=np.int64)
         owner = np.repeat(np.arange(len(sizes)), sizes)
-        vertex = np.concatenate(vertices) if vertices else np.zeros(0, dtype=np.int64)
-        pairs = _pairs_of_equals(vertex)
-        pieces = owner[pairs]
-        points = np.concatenate(shapes) if shapes else np.zeros((0, 3))
-        count = len(sizes)
-        strength = np.zeros((count, count))
+        pairs = _pairs_of_equals(np.concatenate(vertices))
+        pieces, points = owner[pairs], np.concatenate(shapes)
+        strength = np.zeros((len(sizes), len(sizes)))
         for k, l in np.unique(pieces, axis=0):  # noqa: E741
             shared = points[pairs[(pieces == (k, l)).all(axis=1), 0]]
             spread = np.linalg.svd(shared - shared.mean(axis=0), compute_uv=False)
             if len(spread) > 1 and spread[1] > 1e-6 * spread[0] > 0:
                 strength[k, l] = len(shared)
-        group, tree, order = _forest(strength)
-        return cls(sizes, pieces, pairs, group, tree, order)
+        return cls(sizes, pieces, pairs, *_forest(strength))
 
     @cached_property
     def owner(self) -> Index:
@@ -85,6 +71,10 @@ class Overlaps:
     def translation_solver(self) -> Float:
         """The pseudo-inverse of ``B^T B`` ``(n, n)``."""
         return np.linalg.pinv((self.incidence.T @ self.incidence).toarray(), hermitian=True)
+
+    def move(self, points: Float, rotations: Float, translations: Float) -> Float:
+        """Move the points ``(N, 3)`` of every piece by its motion ``(n, 3, 3), (n, 3)``."""
+        return rotate_vectors(rotations[self.owner], points) + translations[self.owner]
 
 
 def register(overlaps: Overlaps, points: Float, sweeps: int = 500, tolerance: float = 1e-12) -> tuple[Float, Float]:
@@ -143,23 +133,19 @@ def _forest(strength: Float) -> tuple[Index, Index, Index]:
             group[order] = piece
             parent[order[1:]] = predecessors[order[1:]]
             orders.append(order)
-    return group, parent, np.concatenate(orders).astype(np.int64) if orders else np.zeros(0, dtype=np.int64)
+    return group, parent, np.concatenate(orders).astype(np.int64)
 
 
 def _along_tree(overlaps: Overlaps, points: Float) -> tuple[Float, Float]:
     """Register every piece with its parent."""
     count = len(overlaps.sizes)
-    rotation = np.tile(np.eye(3), (count, 1, 1))
-    translation = np.zeros((count, 3))
-    for piece in overlaps.order:
+    rotation, translation = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
+    for piece in overlaps.order[overlaps.tree[overlaps.order] >= 0]:
         parent = overlaps.tree[piece]
-        if parent < 0:
-            continue
-        low, high = sorted((int(piece), int(parent)))
-        rows = overlaps.rows[(overlaps.pieces == (low, high)).all(axis=1)]
-        mine, theirs = (rows[:, 0], rows[:, 1]) if piece == low else (rows[:, 1], rows[:, 0])
-        placed = points[theirs] @ rotation[parent].T + translation[parent]
-        rotation[piece], translation[piece] = kabsch(points[mine], placed)
+        own = int(piece > parent)  # column of the piece in pairs
+        rows = overlaps.rows[(overlaps.pieces == np.sort([piece, parent])).all(axis=1)]
+        placed = transform_points(points[rows[:, 1 - own]], rotation[parent], translation[parent])
+        rotation[piece], translation[piece] = kabsch(points[rows[:, own]], placed)
     return rotation, translation
 
 
@@ -175,7 +161,5 @@ def _energy_matrix(overlaps: Overlaps, points: Float) -> tuple[Float, Float]:
 
 def _rooted(overlaps: Overlaps, rotation: Float, translation: Float) -> tuple[Float, Float]:
     """Move every group rigidly so that its first piece is where it was."""
-    root = rotation[overlaps.group]
-    back = np.swapaxes(root, 1, 2)
-    moved = np.einsum("kij,kj->ki", back, translation - translation[overlaps.group])
-    return back @ rotation, moved
+    back = np.swapaxes(rotation[overlaps.group], 1, 2)
+    return back @ rotation, rotate_vectors(back, translation - translation[overlaps.group])

@@ -5,10 +5,7 @@ A mesh is cut into small patches that overlap, which are merged to larger and la
 1. A leaf is rebuilt on its own from its lengths and angles (`reconstruction`): linear start, a few Gauss-Newton steps.
 2. The children of a patch are registered, all at once, through the vertices they share (`registration`; Williams and
    Bennamoun 2000), and stitched by edge blending (`stitching`): an edge points where the children say, and has the
-   length ``l_ij`` that is wanted,
-
-   .. math:: \min_v \sum_{\text{children}} \sum_{ij} w_{ij} \Bigl| v_j - v_i -
-             \frac{v'_j - v'_i}{|v'_j - v'_i|}\, l_{ij} \Bigr|^2 .
+   length ``l_ij`` that is wanted.
 
 There is no optimisation of the whole mesh. The systems of all patches depend on connectivity only and are factored
 once. Where lengths and angles belong to a mesh the result is that mesh.
@@ -21,7 +18,7 @@ of the paper are 1, here they grow with the distance from the child's rim.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -34,23 +31,19 @@ from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import Patch, ShellReport, ShellSettings, rebuild_patch
 from mixseq.spaces.edge import ShellTargets
 from mixseq.spaces.pieces import Pieces
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, index_mask
 from scripts.paper_study.common.registration import Overlaps, register
 from scripts.paper_study.common.stitching import Seams, stitch
 from scripts.paper_study.msgi.hierarchy import Region, divide
 
-LEAF = 300
-"""Largest number of faces of leaves, before they grow."""
-
-GROUP = 6
-"""Largest number of patches that are merged at once."""
+LEAF, GROUP = 300, 6
+"""Largest number of faces of leaves, before they grow, and of patches that are merged at once."""
 
 STRIPS = 3
 """Strips of triangles by which leaves grow; between far poses one alone doubles the errors of lengths at seams."""
 
-STEPS, GAIN = 10, 0.01
-"""Largest number of Gauss-Newton steps in a leaf, and the predicted decrease of its energy, relative, that ends them.
-What further steps gain is lost where leaves are merged."""
+LEAF_FIT = ShellSettings(iterations=10, tolerance=0.01)
+"""Few Gauss-Newton steps: what further ones gain is lost where leaves are merged."""
 
 SWEEPS, TOLERANCE = 50, 1e-6
 """Largest number of rounds of a registration, and the change of entries of rotations that ends it."""
@@ -67,22 +60,15 @@ class Leaf:
     @classmethod
     def of(cls, topology: Topology, faces: Index) -> Leaf:
         """Take some faces out of a mesh."""
-        inside = np.zeros(len(topology.faces), dtype=bool)
-        inside[faces] = True
+        inside = index_mask(faces, len(topology.faces))
         joint = make_joint(topology, inside, np.zeros(topology.vertex_count, dtype=bool))
-        patch = Patch.from_joint(topology, joint, ~joint.free)
-        return cls(joint.edge_ids, joint.hinge_ids, patch)
+        return cls(joint.edge_ids, joint.hinge_ids, Patch.from_joint(topology, joint, ~joint.free))
 
-    def rebuilt(
-        self, lengths: Float, angles: Float, weights: Float, settings: ShellSettings
-    ) -> tuple[Float, ShellReport]:
+    def rebuilt(self, lengths: Float, angles: Float, weights: Float) -> tuple[Float, ShellReport]:
         """Return points ``(n, 3)`` from the lengths and angles of the mesh, and how it went."""
-        settings = replace(
-            settings, iterations=min(settings.iterations, STEPS), tolerance=max(settings.tolerance, GAIN)
-        )
         nowhere = np.zeros((len(self.patch.fixed_mask), 3))
         own = lengths[self.edges], angles[self.hinges], weights[self.edges]
-        return rebuild_patch(self.patch, *own, nowhere, settings)
+        return rebuild_patch(self.patch, *own, nowhere, LEAF_FIT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +94,8 @@ class Merge:
             vertex=np.searchsorted(vertices, np.concatenate(own)),
             rows=np.concatenate(rows),
             edge=np.searchsorted(edges, np.concatenate(own_edges)),
-            vertex_count=len(vertices),
             weights=np.concatenate([_trust(topology, region, child) for child in region.children]),
+            vertex_count=len(vertices),
         )
         # Shapes are not known here. Points in general position stand for them: three shared vertices hold.
         shapes = [np.cos(np.outer(mine + 1, np.sqrt([2.0, 3.0, 5.0]))) for mine in own]
@@ -118,8 +104,7 @@ class Merge:
     def merged(self, points: list[Float], lengths: Float) -> Float:
         """Return points ``(n, 3)`` from those of the children and the lengths of the mesh."""
         rows = np.concatenate(points)
-        rotations, translations = register(self.overlaps, rows, SWEEPS, TOLERANCE)
-        placed = np.einsum("nij,nj->ni", rotations[self.overlaps.owner], rows) + translations[self.overlaps.owner]
+        placed = self.overlaps.move(rows, *register(self.overlaps, rows, SWEEPS, TOLERANCE))
         return stitch(self.seams, placed, lengths[self.edges])
 
 
@@ -142,7 +127,7 @@ class MultiScale:
             steps.append(tuple(step for region in whole for step in _steps(self.topology, region)))
         return tuple(steps)
 
-    def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+    def fit(self, wanted: ShellTargets) -> tuple[Float, list[ShellReport]]:
         """Fit rows as `DiscreteShell.fit` does, with a report for every leaf."""
         lengths, angles, weights = wanted.lengths, wanted.angles, wanted.length_weights
         lengths = clamp_lengths(lengths, weights)  # also of the seams: an edge has no negative length
@@ -151,7 +136,7 @@ class MultiScale:
             made: list[Float] = [] if steps else [np.zeros((len(vertices), 3))]
             for step in steps:
                 if isinstance(step, Leaf):
-                    points, report = step.rebuilt(lengths, angles, weights, settings)
+                    points, report = step.rebuilt(lengths, angles, weights)
                     reports.append(report)
                 else:
                     children = len(step.overlaps.sizes)

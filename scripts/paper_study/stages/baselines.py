@@ -13,11 +13,11 @@ from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.types import Index
 from scripts.benchmarks.common.harness import cpu_timed, markdown_table
 from scripts.paper_study.common.baselines import BASELINES, SEGMENTS, THICKNESS, TOLERANCE, turned
-from scripts.paper_study.common.damage import apart, placement_noise
-from scripts.paper_study.common.errors import errors, text
+from scripts.paper_study.common.damage import placement_noise
+from scripts.paper_study.common.errors import errors, sections, text
 from scripts.paper_study.common.methods import METHODS, Method
 from scripts.paper_study.common.pictures import Panel, gallery
-from scripts.paper_study.common.poses import PAPER, Poses, between
+from scripts.paper_study.common.poses import PAPER, Poses, apart, between
 from scripts.paper_study.common.record import Json, Results, Say, named, ratio_range
 
 MESHES = PAPER
@@ -31,8 +31,7 @@ OTHERS = ("ARAP", "skin", "NRIC", "geodesic")
 BESIDE = ("MSGI", "DSO", "MixIT, whole joints", "MixIT, free", OURS)
 """Methods of the other pages."""
 
-GEODESIC_VERTICES = 10_000
-"""Largest number of vertices for geodesics, whose systems have nine times as many unknowns."""
+GEODESIC_VERTICES = 10_000  # largest number for geodesics, whose systems have nine times as many unknowns
 
 
 def measure(poses: Poses, folder: Path, say: Say) -> Json:
@@ -75,6 +74,8 @@ def compared(poses: Poses, methods: Mapping[str, Callable[[Poses, Index], Method
 
 
 def page(results: Results) -> list[str]:
+    slow = {mesh: r["methods"]["geodesic"]["seconds"][0] for mesh, r in results.items() if "geodesic" in r["methods"]}
+    took = f"All its blends take {ratio_range(slow.values())} seconds on {named(slow)}. " if slow else ""
     blocks = [
         "What the paper does not compare with, written from the papers in `scripts/paper_study/common/baselines.py`: "
         "*vertices* (registered), *ARAP* (Alexa, Cohen-Or and Levin 2000, for the faces of a surface), a *skin* fitted "
@@ -83,23 +84,18 @@ def page(results: Results) -> list[str]:
         "time-discrete *geodesic* in the space of such shells (Heeren, Rumpf, Wardetzky and Wirth 2012) has "
         f"{SEGMENTS} segments. Their elastic energies are "
         "minimised over all shapes between them at once, from *DSO*, until a step predicts less than "
-        f"{TOLERANCE:.1%} of the energy. It does not aim at the blended lengths and angles, and is so slow that "
-        f"only meshes of up to {GEODESIC_VERTICES:,} vertices have it.",
+        f"{TOLERANCE:.1%} of the energy. It does not aim at the blended lengths and angles. {took}Meshes of more than "
+        f"{GEODESIC_VERTICES:,} vertices do not have it.",
         "Errors are against the blended lengths and angles, which *NRIC* and *DSO* minimise, each with weights of its "
         "own. Volume is that of the blend over the blended volume, minus one. Seconds are of the processor, on one "
         "thread, for what is done once for two poses (a first blend in S_e and S_m, all blends of the geodesic) and "
         "for one blend. Turned: how far the blend moves, in diagonals (rms, registered), if the second pose is turned "
         f"by {np.degrees(np.linalg.norm(TURN)):.0f} degrees; the geodesic registers both poses first.",
     ]
-    for mesh, result in results.items():
-        blocks += [
-            f"## {mesh}: {result['title']}",
-            f"![The middle by all methods, {mesh}](baselines-{mesh}.png)",
-            table(result["methods"]),
-        ]
     placed = [(mesh, *(text([each]) for each in result["placed"])) for mesh, result in results.items()]
     return [
         *blocks,
+        *sections(results, "baselines", "The middle by all methods", table),
         "## Where a mesh is",
         "The paper places a mesh by its first face and its barycentre (Section 2.3), mixseq by registered bodies. How "
         f"far noise of {NOISE:.0%} of an edge moves a pose that is placed like that, rms in mean edge lengths, mean of "
@@ -110,21 +106,14 @@ def page(results: Results) -> list[str]:
     ]
 
 
-def table(methods: Json) -> str:
+def table(result: Json) -> str:
     """Return what `compared` found, with a row for every weight."""
-    rows = [
-        (
-            name if w == "0.25" else "",
-            w,
-            text(at["lengths"]),
-            text(at["degrees"]),
-            f"{at['volume']:+.1%}",
-            *((text([s]) for s in found["seconds"]) if w == "0.25" else ("", "")),
-            text([found["turned"]]) if w == "0.25" and "turned" in found else "",
-        )
-        for name, found in methods.items()
-        for w, at in found["at"].items()
-    ]
+    rows: list[tuple[str, ...]] = []
+    for name, found in result["methods"].items():
+        ends = [text([s]) for s in found["seconds"]] + [text([found["turned"]]) if "turned" in found else ""]
+        for w, at in found["at"].items():
+            head, *end = (name, *ends) if w == "0.25" else ("",) * 4
+            rows.append((head, w, text(at["lengths"]), text(at["degrees"]), f"{at['volume']:+.1%}", *end))
     columns = ("method", "w", "lengths, 99 / 99.9 / 100 %", "degrees", "volume", "once, s", "a blend, s", "turned")
     return markdown_table(columns, rows)
 

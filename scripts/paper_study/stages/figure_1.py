@@ -7,14 +7,13 @@ from pathlib import Path
 from mixseq.choices import SpaceName
 from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.types import Float
-from scripts.paper_study.common.errors import error_table, errors, folded
+from scripts.paper_study.common.errors import error_table, errors, folded, sections
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import PAPER, Poses, between
 from scripts.paper_study.common.record import Json, Results, Say
 
 MESHES = PAPER
-
 SPACES: dict[str, SpaceName] = {"vertices, S_v": "vertex", "gradients, S_f": "gradient"}
 """Spaces that need no optimisation."""
 
@@ -22,14 +21,14 @@ OURS = "MixIT, S_m"
 
 
 def measure(poses: Poses, folder: Path, say: Say) -> Json:
-    weights = between(0.5)
-    blends: dict[str, Float] = {}
-    for name, space in SPACES.items():
-        blends[name] = PoseInterpolator.from_poses(poses.sequence, space, pose_ids=poses.frames).blend(weights)
-    labels = poses.segmented()
+    half, labels = between(0.5), poses.segmented()
+    blends: dict[str, Float] = {
+        name: PoseInterpolator.from_poses(poses.sequence, space, pose_ids=poses.frames).blend(half)
+        for name, space in SPACES.items()
+    }
     for name, space_name in (("DSO", "lengths and angles, S_e"), ("MixIT", OURS)):
-        blends[space_name] = METHODS[name](poses, labels).at(weights).points
-    found = {name: errors(poses, weights, points).summary() for name, points in blends.items()}
+        blends[space_name] = METHODS[name](poses, labels).at(half).points
+    found = {name: errors(poses, half, points).summary() for name, points in blends.items()}
     given = [Panel("first pose", poses.points[0]), Panel("second pose", poses.points[1])]
     shown = [Panel(f"{name}, w = 0.5", points) for name, points in blends.items()]
     rows = [given, shown[:2], shown[2:]]
@@ -39,18 +38,10 @@ def measure(poses: Poses, folder: Path, say: Say) -> Json:
 
 
 def page(results: Results) -> list[str]:
-    blocks = [
-        "Half-way between two poses, which the paper's first figure shows for one pair. Errors are of lengths "
-        "(relative) and angles (degrees) against the means of the two poses."
-    ]
-    for mesh, result in results.items():
-        blocks += [
-            f"## {mesh}: {result['title']}",
-            f"![Blends in four shape spaces, {mesh}](figure-1-{mesh}.png)",
-            error_table("space", result["methods"]),
-        ]
     return [
-        *blocks,
+        "Half-way between two poses, which the paper's first figure shows for one pair. Errors are of lengths "
+        "(relative) and angles (degrees) against the means of the two poses.",
+        *sections(results, "figure-1", "Blends in four shape spaces", lambda r: error_table("space", r["methods"])),
         folded({f"*{name}* on {mesh}": f for mesh, r in results.items() for name, f in r["methods"].items()}),
     ]
 
@@ -58,8 +49,6 @@ def page(results: Results) -> list[str]:
 def verdict(results: Results) -> list[str]:
     gains = []
     for name in SPACES:
-        each = [
-            result["methods"][name]["lengths"][1] / result["methods"][OURS]["lengths"][1] for result in results.values()
-        ]
+        each = [r["methods"][name]["lengths"][1] / r["methods"][OURS]["lengths"][1] for r in results.values()]
         gains.append(f"{min(each):.1f} to {max(each):.1f} times as large in {name}")
     return [f"Length errors at 99.9 % half-way are {', '.join(gains)}, as in S_m. The paper shows pictures only."]

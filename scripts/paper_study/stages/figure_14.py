@@ -5,11 +5,11 @@ from __future__ import annotations
 from operator import itemgetter
 from pathlib import Path
 
-from scripts.paper_study.common.errors import error_table, errors, folded
+from scripts.paper_study.common.errors import error_table, errors, folded, sections
 from scripts.paper_study.common.methods import Free, Strips, strips
 from scripts.paper_study.common.pictures import BRIGHTEST, Panel, gallery, held, length_errors
 from scripts.paper_study.common.poses import PAPER, Poses, between
-from scripts.paper_study.common.record import Json, Results, Say, ratio_range
+from scripts.paper_study.common.record import Json, Results, Say, by_mesh, ratio_range
 
 MESHES = PAPER
 FEW = 3
@@ -41,17 +41,12 @@ def measure(poses: Poses, folder: Path, say: Say) -> Json:
 
 
 def page(results: Results) -> list[str]:
+    columns = {"p": itemgetter("parts"), "q": itemgetter("joints")}
     blocks = [
         f"Motion segmentations with {FEW} parts, which miss most joints, and with as many as are found. Below "
         f"the blends at w = 0.5: errors of lengths, from violet (0) to yellow ({BRIGHTEST:.0%} and more). The "
         "paper shows the armadillo."
     ]
-    for mesh, result in results.items():
-        blocks += [
-            f"## {mesh}: {result['title']}",
-            f"![Segmentations and blends, {mesh}](figure-14-{mesh}.png)",
-            error_table("", result["methods"], {"p": itemgetter("parts"), "q": itemgetter("joints")}),
-        ]
     growth: list[list[float]] = [[], []]
     for result in results.values():
         few, usual, few_free, usual_free = (found["lengths"][1] for found in result["methods"].values())
@@ -59,6 +54,7 @@ def page(results: Results) -> list[str]:
         growth[1].append(few_free / usual_free)
     return [
         *blocks,
+        *sections(results, "figure-14", "Segmentations and blends", lambda r: error_table("", r["methods"], columns)),
         f"With {FEW} parts, errors of lengths at 99.9 % are {ratio_range(growth[0])} times those with the found parts "
         "where only strips are joints: as in the paper, a segmentation that misses joints leads to artefacts. Where "
         f"all faces are joints that are wrong half-way, they are {ratio_range(growth[1])} times: a missed joint is "
@@ -68,11 +64,10 @@ def page(results: Results) -> list[str]:
 
 
 def verdict(results: Results) -> list[str]:
-    found = []
-    for mesh, result in results.items():
-        values = [each["lengths"][1] for each in result["methods"].values()]
-        found.append(f"{mesh} {values[0]:.2g} and {values[1]:.2g} ({values[2]:.2g} and {values[3]:.2g})")
+    def values(r: Json) -> str:
+        return "{:.2g} and {:.2g} ({:.2g} and {:.2g})".format(*(f["lengths"][1] for f in r["methods"].values()))
+
     return [
         f"Length errors at 99.9 % with {FEW} parts and with those found, strips as joints (joints also inside "
-        "parts): " + "; ".join(found) + "."
+        f"parts): {by_mesh(results, values, '; ')}."
     ]

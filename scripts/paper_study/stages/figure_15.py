@@ -11,12 +11,12 @@ from mixseq.mesh.topology import split_labels
 from mixseq.segmentation.methods import METHODS, adjusted_rand_index, segment
 from mixseq.types import Index
 from scripts.benchmarks.common.harness import cpu_timed, markdown_table
-from scripts.paper_study.common.errors import errors, folded, text
+from scripts.paper_study.common.errors import errors, folded, sections, text
 from scripts.paper_study.common.methods import Free, Strips, strips
 from scripts.paper_study.common.pictures import Panel, gallery, held
 from scripts.paper_study.common.poses import PAPER, Poses, between
 from scripts.paper_study.common.printed import FIGURE_15
-from scripts.paper_study.common.record import Json, Results, Say, named, ratio_range
+from scripts.paper_study.common.record import Json, Results, Say, by_mesh, named, ratio_range
 from scripts.paper_study.common.variants import row_of
 
 MESHES = PAPER
@@ -33,8 +33,7 @@ HAND: dict[str, dict[int, tuple[float, ...]]] = {
 }  # fmt: skip
 """Cuts by hand: walking distances, in diagonals, from tips of tail, legs and head, and last from the rump."""
 
-SMALL = 50
-"""Number of faces of fragments."""
+SMALL = 50  # number of faces of fragments
 
 
 def measure(poses: Poses, folder: Path, say: Say) -> Json:
@@ -87,25 +86,6 @@ def page(results: Results) -> list[str]:
         "bends; their time is that of the cutting. The paper prints "
         f"{FIGURE_15['silhouettes']}, {FIGURE_15['spanning-tree']} and {FIGURE_15['manual']} ms."
     ]
-    for mesh, result in results.items():
-        rows = []
-        for name, f in result["methods"].items():
-            for kind, shown in (("strips", "MixIT, free, strips"), ("free", "MixIT, free")):
-                r = f[kind]
-                found = (f"{f['segmentation']:.1f}", f"{f['agreement']:.2f}")
-                times = (f"{r['total']:.0f}", f"{sum(r['ms'][2:]):.0f}", text(r["lengths"]), text(r["degrees"]))
-                rows.append((name, shown, str(r["parts"]), str(r["joints"]), *found, *times))
-        blocks += [
-            f"## {mesh}: {result['title']}",
-            f"![Segmentations and blends, {mesh}](figure-15-{mesh}.png)",
-            markdown_table(
-                (
-                    *("segmentation", "method", "p", "q", "segmentation, s", "adjusted Rand index with motion"),
-                    *("Total, ms", "without Init.", "lengths, 99 / 99.9 / 100 %", "degrees"),
-                ),
-                rows,
-            ),
-        ]
     worst: dict[str, list[float]] = {"strips": [], "free": []}
     slowest = []
     for result in results.values():
@@ -116,6 +96,7 @@ def page(results: Results) -> list[str]:
         slowest.append(max(total) / min(total))
     return [
         *blocks,
+        *sections(results, "figure-15", "Segmentations and blends", table),
         "The paper finds the blends visually similar, and equally fast. Here the slowest blend of *MixIT, free* takes "
         f"{ratio_range(slowest)} times the time of the fastest, and the largest error of lengths at 99.9 % is "
         f"{ratio_range(worst['free'])} times the smallest. With strips as joints the segmentation matters more: "
@@ -131,9 +112,21 @@ def page(results: Results) -> list[str]:
     ]
 
 
+def table(result: Json) -> str:
+    """Return the rows of a mesh."""
+    rows = []
+    for name, f in result["methods"].items():
+        for kind, shown in (("strips", "MixIT, free, strips"), ("free", "MixIT, free")):
+            r = f[kind]
+            found = (f"{f['segmentation']:.1f}", f"{f['agreement']:.2f}")
+            times = (f"{r['total']:.0f}", f"{sum(r['ms'][2:]):.0f}", text(r["lengths"]), text(r["degrees"]))
+            rows.append((name, shown, str(r["parts"]), str(r["joints"]), *found, *times))
+    heads = ("segmentation", "method", "p", "q", "segmentation, s", "adjusted Rand index with motion")
+    return markdown_table((*heads, "Total, ms", "without Init.", "lengths, 99 / 99.9 / 100 %", "degrees"), rows)
+
+
 def verdict(results: Results) -> list[str]:
-    spread = [
-        f"{mesh} {', '.join(f'{name} ' + text(f['free']['lengths'][1:2]) for name, f in result['methods'].items())}"
-        for mesh, result in results.items()
-    ]
-    return [f"Length errors at 99.9 % of *MixIT, free* on parts by: {'; '.join(spread)}."]
+    def spread(r: Json) -> str:
+        return ", ".join(f"{name} {text(f['free']['lengths'][1:2])}" for name, f in r["methods"].items())
+
+    return [f"Length errors at 99.9 % of *MixIT, free* on parts by: {by_mesh(results, spread, '; ')}."]

@@ -11,22 +11,18 @@ from mixseq.pictures.scene import three_quarter_view
 from mixseq.spaces.edge import EdgeSettings
 from mixseq.types import Float, Index
 from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.damage import BEYOND, SIZE, apart, noisy, pushed
+from scripts.paper_study.common.damage import BEYOND, SIZE, noisy, pushed
 from scripts.paper_study.common.errors import error_table, errors, text
 from scripts.paper_study.common.methods import METHODS, Edge, Method, Mixed, strips
 from scripts.paper_study.common.pictures import Panel, gallery, heat, held
-from scripts.paper_study.common.poses import PAPER, Poses, between
-from scripts.paper_study.common.record import Json, Results, Say, named, ratio_range
+from scripts.paper_study.common.poses import PAPER, Poses, apart, between
+from scripts.paper_study.common.record import Json, Results, Say, by_mesh, named, ratio_range
 
 MESHES = PAPER
-NOISE = 0.01
-SEEDS = (0, 1, 2)
-LARGE = 20_000
-"""Meshes with more vertices have one seed only."""
-
+NOISE, SEEDS = 0.01, (0, 1, 2)
+LARGE = 20_000  # meshes with more vertices have one seed only
 VOLUME = 10.0
-FAR = 2.0
-"""Distance from the undamaged blend, in mean edge lengths, that has the brightest colour."""
+FAR = 2.0  # distance from the undamaged blend, in mean edge lengths, that has the brightest colour
 
 ALL_METHODS: dict[str, Callable[[Poses, Index], Method]] = {
     **METHODS,
@@ -66,17 +62,14 @@ def rms_and_largest(distances: Float) -> list[float]:
 
 def intersected(poses: Poses, labels: Index, clean: dict[str, Float], say: Say) -> tuple[Json, list[list[Panel]]]:
     """Push a patch through the surface, and compare with the undamaged blends outside of it."""
-    decomposition = strips(poses, labels)
-    in_joint = np.concatenate([joint.vertices for joint in decomposition.joints])
-    part_only = np.setdiff1d(np.concatenate(decomposition.parts), in_joint)
+    cut, edge = strips(poses, labels), float(poses.lengths.mean())
+    in_joint = np.concatenate([joint.vertices for joint in cut.joints])
+    part_only = np.setdiff1d(np.concatenate(cut.parts), in_joint)
     damage = pushed(poses, part_only, three_quarter_view(poses.points[0], poses.sequence.up_axis))
-    edge = float(poses.lengths.mean())
     outside = np.setdiff1d(np.arange(len(poses.points[0])), damage.vertices)
     found: Json = {}
     close, bad = damage.middle, damage.poses
-    whole = Panel(
-        "parts and joints", poses.points[1], held(decomposition.part_of_face, decomposition.joint_of_face < 0)
-    )
+    whole = Panel("parts and joints", poses.points[1], held(cut.part_of_face, cut.joint_of_face < 0))
     pair = (("second pose", poses.points[1]), ("with the patch pushed", bad.points[1]))
     rows: list[list[Panel]] = [[whole, *(Panel(*each, close=close) for each in pair)], [], []]
     in_patch = np.isin(poses.sequence.faces, damage.vertices).all(axis=1)
@@ -104,16 +97,13 @@ def page(results: Results) -> list[str]:
         f"mean edge lengths, rms / largest. The noise itself is {100 * NOISE * np.sqrt(1.5):.1f} % rms in the "
         "mean of two poses. Parts are those of the animation without noise.",
     ]
+    columns = ("method", "lengths", "with noise", "ratio", "degrees", "with noise", "ratio", "away")
     for mesh, result in results.items():
-        rows = [
-            (
-                name,
-                *(shown for pair in zip(n["before"], n["after"], strict=True) for shown in grown(*pair)),
-                text(n["away"]),
-            )
-            for name, n in result["noise"].items()
-        ]
-        columns = ("method", "lengths", "with noise", "ratio", "degrees", "with noise", "ratio", "away")
+        rows = []
+        for name, n in result["noise"].items():
+            pairs = zip(n["before"], n["after"], strict=True)
+            grown = (each for a, b in pairs for each in (text([a]), text([b]), f"{b / a:.2f}"))
+            rows.append((name, *grown, text(n["away"])))
         blocks += [f"### {mesh}: {result['title']}", markdown_table(columns, rows)]
     blocks += [
         "## A local self-intersection",
@@ -160,11 +150,6 @@ def page(results: Results) -> list[str]:
     ]
 
 
-def grown(before: float, after: float) -> tuple[str, str, str]:
-    """Return an error without and with noise, and their ratio."""
-    return text([before]), text([after]), f"{after / before:.2f}"
-
-
 def away(result: Json, kind: str, name: str) -> float:
     """Return how far a blend moves, rms in edges: by noise, or by a patch ("local")."""
     return float(result[kind][name]["away"][0])
@@ -181,13 +166,10 @@ def least(results: Results, name: str) -> str:
 
 
 def verdict(results: Results) -> list[str]:
-    noise, local = (
-        "; ".join(
-            f"{m} " + ", ".join(f"{name} {away(r, kind, name):.2g}" for name in COMPARED) for m, r in results.items()
-        )
-        for kind in ("noise", "local")
-    )
+    def moved(kind: str) -> str:
+        return by_mesh(results, lambda r: ", ".join(f"{name} {away(r, kind, name):.2g}" for name in COMPARED), "; ")
+
     return [
-        f"Noise of {NOISE:.0%} of an edge moves the blend, in edge lengths (rms): {noise}.",
-        f"A patch that is pushed through the surface moves the rest, in edge lengths (rms): {local}.",
+        f"Noise of {NOISE:.0%} of an edge moves the blend, in edge lengths (rms): {moved('noise')}.",
+        f"A patch that is pushed through the surface moves the rest, in edge lengths (rms): {moved('local')}.",
     ]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-
-import numpy as np
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.shells.fitting import ShellSettings
@@ -55,7 +54,7 @@ def energy(poses: Poses, points: Float) -> float:
     """Return the energy that discrete shells lower, over the whole mesh, half way."""
     lengths, angles = poses.target(between(0.5))
     topology, typical = poses.topology, poses.lengths.mean(axis=0)
-    strain = (edge_lengths(points, topology.edges) - lengths) / np.maximum(typical, 1e-12 * poses.diagonal)
+    strain = (edge_lengths(points, topology.edges) - lengths) / typical
     bend = ShellSettings().bending * wrap_angles(dihedral_angles(points, topology.hinges) - angles)
     return float(strain @ strain + bend @ bend)
 
@@ -71,26 +70,28 @@ def page(results: Results) -> list[str]:
             "Chosen for it: poses between which *DSO, from a pose* is trapped. The paper does not name its poses.",
             f"![Two far poses and blends, {mesh}](figure-17-{mesh}.png)",
             error_table("method", result["far"]["methods"], COLUMNS),
-            "The paper shows one picture of DSO that got trapped, and of MixIT that did not. "
-            + _ordered(result["far"]),
+            "The paper shows one picture of DSO that got trapped, and of MixIT that did not. " + ordered(result["far"]),
             f"## {result['other']['title']}",
             error_table("method", result["other"]["methods"], COLUMNS),
-            "The linear start is no guarantee. " + _ordered(result["other"]),
+            "The linear start is no guarantee. " + ordered(result["other"]),
         ]
     return blocks
 
 
-def _ordered(result: Json) -> str:
+def ordered(result: Json) -> str:
     """Say which method ends with how much energy."""
     found = sorted(result["methods"].items(), key=lambda each: each[1]["energy"])
-    return "Energies, from the lowest: " + ", ".join(f"*{name}* {f['energy']:.3g}" for name, f in found) + "."
+    return f"Energies, from the lowest: {energies((f'*{name}*', each) for name, each in found)}."
+
+
+def energies(found: Iterable[tuple[str, Json]]) -> str:
+    """Return the energies of methods."""
+    return ", ".join(f"{name} {each['energy']:.3g}" for name, each in found)
 
 
 def verdict(results: Results) -> list[str]:
     return [
-        f"Energy half way, {each['title']}: "
-        + ", ".join(f"{name} {f['energy']:.3g}" for name, f in each["methods"].items())
-        + "."
+        f"Energy half way, {each['title']}: {energies(each['methods'].items())}."
         for result in results.values()
         for each in (result["far"], result["other"])
     ]

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from scripts.paper_study.common.errors import error_table, errors, text
+from scripts.paper_study.common.errors import error_table, errors, sections, text
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import ALL, PAPER, Poses
-from scripts.paper_study.common.record import Json, Results, Say
+from scripts.paper_study.common.record import Json, Results, Say, by_mesh
 
 MESHES = PAPER
 
@@ -33,34 +33,30 @@ def measure(poses: Poses, folder: Path, say: Say) -> Json:
 
 
 def page(results: Results) -> list[str]:
-    blocks = [
+    return [
         "Six poses in the two upper rows, their blends with equal weights below. Errors are against the "
-        "means of all six lengths and angles; the paper shows pictures only."
+        "means of all six lengths and angles; the paper shows pictures only.",
+        *sections(results, "figure-9", "Six poses and their blends", lambda r: error_table("method", r["methods"])),
+        "## What it shows",
+        *verdict(results),
     ]
-    for mesh, result in results.items():
-        blocks += [
-            f"## {mesh}: {result['title']}",
-            f"![Six poses and their blends, {mesh}](figure-9-{mesh}.png)",
-            error_table("method", result["methods"]),
-        ]
-    return [*blocks, "## What it shows", *verdict(results)]
 
 
 def verdict(results: Results) -> list[str]:
-    lines = []
-    for kind, share in (("lengths", 1), ("degrees", 0)):
-        found = [
-            f"{mesh} {text([result['methods']['MixIT'][kind][share]])} "
-            f"({text([result['methods']['DSO'][kind][share]])})"
-            for mesh, result in results.items()
-        ]
-        lines.append(f"{kind} at {('99 %', '99.9 %')[share]} {', '.join(found)}")
-    readings = [
-        f"{mesh} {r['methods']['MixIT, whole joints']['lengths'][1] / r['methods']['MixIT, printed']['lengths'][1]:.2f}"
-        for mesh, r in results.items()
-    ]
+    def of(kind: str, quantile: int) -> str:
+        pairs = {
+            mesh: [text([r["methods"][name][kind][quantile]]) for name in ("MixIT", "DSO")]
+            for mesh, r in results.items()
+        }
+        return ", ".join(f"{mesh} {mixed} ({edge})" for mesh, (mixed, edge) in pairs.items())
+
+    def change(r: Json) -> str:
+        whole, printed = (r["methods"][f"MixIT, {name}"]["lengths"][1] for name in ("whole joints", "printed"))
+        return f"{whole / printed:.2f}"
+
     return [
-        f"Errors of a blend of six poses by MixIT (by DSO): {'; '.join(lines)}.",
+        f"Errors of a blend of six poses by MixIT (by DSO): lengths at 99.9 % {of('lengths', 1)}; degrees at 99 % "
+        f"{of('degrees', 0)}.",
         "Whole joints change the errors of lengths at 99.9 % of the paper's MixIT, as printed, by factors of "
-        f"{', '.join(readings)}.",
+        f"{by_mesh(results, change)}.",
     ]

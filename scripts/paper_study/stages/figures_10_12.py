@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.mesh.measures import triangle_areas
 from mixseq.spaces.mixed.construction import MAX_STEPS, MIN_STEPS
 from mixseq.types import Float
 from scripts.benchmarks.common.harness import markdown_table
@@ -18,8 +19,7 @@ from scripts.paper_study.common.record import Json, Results, Say, named, ratio_r
 EDGE = ("MSGI", "DSO, from a pose", "DSO", "S_e, steps")
 MINE = ("MixIT", "MixIT, printed", "MixIT, whole joints")
 MEASURES = {"middle": "w = 0.5", "worst": "worst w"}
-SAME = 0.005
-"""Errors whose ratio is nearer to 1 than this are the same."""
+SAME = 0.005  # errors whose ratio is nearer to 1 than this are the same
 
 
 def measure(poses: Poses, folder: Path, say: Say) -> Json:
@@ -65,8 +65,7 @@ def along(poses: Poses, method: Method, weights: list[float]) -> tuple[Float, Js
 
 def rigid_share(method: Mixed) -> float:
     """Return the share of the area of the first pose that parts hold."""
-    corners = method.poses.points[0][method.poses.topology.faces]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    areas = triangle_areas(method.poses.points[0], method.poses.topology.faces)
     return float(areas[method.rigid].sum() / areas.sum())
 
 
@@ -112,6 +111,7 @@ def page(results: Results) -> list[str]:
         for mesh, result in results.items()
         for of, shown in MEASURES.items()
     ]
+    same = (m for m, r in results.items() if np.allclose(ratios(r, "DSO", "DSO, from a pose", "middle"), 1, 0, SAME))
     return [
         *blocks,
         "## Folds half-way",
@@ -136,10 +136,7 @@ def page(results: Results) -> list[str]:
         + ".\n"
         f"- The paper's DSO starts from a pose, with {both(results, 'DSO, from a pose', 'DSO')} times the errors of "
         "DSO; with the same errors on "
-        + named(
-            m for m, r in results.items() if np.allclose(ratios(r, "DSO", "DSO, from a pose", "middle"), 1, 0, SAME)
-        )
-        + ".\n"
+        f"{named(same)}.\n"
         "- *MixIT, printed* gives the strip where joints and parts overlap to the parts, *MixIT, whole joints* to the "
         "joints, as the paper counts it. Their joints only are where parts meet. Errors over those of DSO: "
         + "; ".join(f"*{name}* {both(results, name, 'DSO')}" for name in MINE[1:])
@@ -151,12 +148,11 @@ def page(results: Results) -> list[str]:
 
 def claims(results: Results) -> str:
     """Say on which of the paper's meshes MixIT, ours and as printed, is at or below the methods in S_e, w = 0.5."""
-    known = {mesh: result for mesh, result in results.items() if mesh in PAPER}
     lines = []
     for mine in MINE:
         below = []
         for other in EDGE:
-            of = {mesh: ratios(result, other, mine, "middle") for mesh, result in known.items()}
+            of = {mesh: ratios(results[mesh], other, mine, "middle") for mesh in results if mesh in PAPER}
             lengths, degrees = (named(mesh for mesh, each in of.items() if each[k] <= 1 + SAME) for k in (0, 1))
             below.append(f"*{other}* in lengths on {lengths}, in angles on {degrees}")
         lines.append(f"- *{mine}* is at or below {'; '.join(below)}.")

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell, linear_initialisation
-from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.mixed.construction import MAX_STEPS, MIN_STEPS
-from mixseq.types import Float, Index
+from mixseq.types import Float
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.methods import Anchored, FromPose, Printed, strips
 from scripts.paper_study.common.poses import Poses, between
@@ -24,90 +23,74 @@ MESHES = ("lion", "cat", "horse")
 NOISE = (0.05, 0.15, 0.5)
 """Standard deviations of the noise, in mean lengths of edges."""
 
-STARTS = 5
-"""Number of starts by noise and method."""
+STARTS = 5  # number of starts by noise and method
+SAME = 0.01  # relative difference below which energies are the same
 
-SAME = 0.01
-"""Relative difference below which energies are the same."""
-
-Search = Callable[[float, np.random.Generator], float]
-"""Returns the energy that is found from a start with noise of a size in edges."""
+Search = Callable[[Callable[[Float], Float]], float]
+"""Returns the energy that is found from a start ``(n, 3)`` that a function moves."""
 
 
 def measure(poses: Poses, folder: Path, say: Say) -> Json:
-    labels = poses.segmented()
+    edge, method, cut = float(poses.lengths.mean()) / poses.diagonal, FromPose(poses), strips(poses, poses.segmented())
+    problem, pose = method.problem((between(0.5) @ method.vectors)[: method.space.shape_dim])
+    linear = linear_initialisation(problem.patch, problem.lengths, problem.angles, np.zeros_like(pose))
     searches = {
-        "DSO, from a pose": whole(poses, from_pose=True),
-        "DSO": whole(poses, from_pose=False),
-        "MixIT, printed": joints(poses, labels),
-        "MixIT": relaxed(poses, labels),
+        "DSO, from a pose": fitted([(problem, pose)]),
+        "DSO": fitted([(problem, linear)]),
+        "MixIT, printed": fitted(joints(Printed(poses, cut))),
+        "MixIT": relaxed(Anchored(poses, cut)),
     }
     found: Json = {}
     for name, search in searches.items():
-        rng = np.random.default_rng(0)
-        found[name] = {"0": [search(0.0, rng)]} | {
-            f"{size:g}": [search(size, rng) for _ in range(STARTS)] for size in NOISE
-        }
+        found[name] = energies(search, edge)
         say(f"{name}: " + ", ".join(f"{size}: {spread(each)}" for size, each in found[name].items()))
     return {"title": poses.title, "methods": found}
 
 
-def shaken(x: Float, edge: float, size: float, rng: np.random.Generator) -> Float:
-    """Move vertices ``(n, 3)``."""
-    return np.asarray(x + size * edge * rng.normal(size=x.shape))
+def energies(search: Search, edge: float) -> Json:
+    """Return the energies that a search finds, by the size of the noise of its starts in edges."""
+    rng = np.random.default_rng(0)
+
+    def found(size: float) -> float:
+        return search(lambda x: np.asarray(x + size * edge * rng.normal(size=x.shape)))
+
+    return {"0": [found(0.0)]} | {f"{size:g}": [found(size) for _ in range(STARTS)] for size in NOISE}
 
 
-def whole(poses: Poses, from_pose: bool) -> Search:
-    """Return the search by Gauss-Newton on the whole mesh, from the first pose or from the linear start."""
-    method, length = FromPose(poses, EdgeSettings("dso")), float(poses.lengths.mean()) / poses.diagonal
-    problem, start = method.problem(between(0.5))
-    if not from_pose:
-        start = linear_initialisation(problem.patch, problem.lengths, problem.angles, np.zeros_like(start))
-
-    def search(size: float, rng: np.random.Generator) -> float:
-        return fit_shell(problem, shaken(start, length, size, rng), ShellSettings())[1].energy
-
-    return search
+def fitted(problems: list[tuple[ShellProblem, Float]]) -> Search:
+    """Return the search by Gauss-Newton from the starts of problems, whose energies are summed."""
+    return lambda move: sum(fit_shell(problem, move(start))[1].energy for problem, start in problems)
 
 
-def joints(poses: Poses, labels: Index) -> Search:
-    """Return the search by Gauss-Newton on every joint by itself, from the first pose: their energies are summed."""
-    method = Printed(poses, strips(poses, labels))
-    length, frame = float(poses.lengths.mean()) / poses.diagonal, method.space.frame(between(0.5))
-    problems = []
+def joints(method: Printed) -> list[tuple[ShellProblem, Float]]:
+    """Return the problems of all joints, which start from the first pose."""
+    poses, frame, problems = method.poses, method.space.frame(between(0.5)), []
     for joint, patch in zip(method.decomposition.joints, method.patches, strict=True):
         weights = method.space.length_weights[joint.edge_ids]
         wanted = frame.lengths[joint.edge_ids], frame.angles[joint.hinge_ids]
         problem = ShellProblem(patch, *wanted, weights, ShellSettings().bending)
         problems.append((problem, poses.points[0][joint.vertices] / poses.diagonal))
-
-    def search(size: float, rng: np.random.Generator) -> float:
-        starts = [(problem, shaken(start, length, size, rng)) for problem, start in problems]
-        return sum(fit_shell(*start, ShellSettings())[1].energy for start in starts)
-
-    return search
+    return problems
 
 
-def relaxed(poses: Poses, labels: Index) -> Search:
+def relaxed(method: Anchored) -> Search:
     """Return the search by frames and steps of the whole mesh, as the product does, from posed vertices."""
-    method = Anchored(poses, strips(poses, labels))
-    space, length = method.space, float(poses.lengths.mean()) / poses.diagonal
-    vector = (between(0.5) @ method.vectors)[None]
+    space, vector = method.space, (between(0.5) @ method.vectors)[None]
     joints, shell, steps = space.joint_projection, space.joint_projection.shell, space.projection.steps
     blocks, x = space.split(vector), space.skin(vector)[0]
     lengths, angles = blocks.lengths[0], blocks.angles[0]
     wanted = joints.mesh_targets(x, lengths, angles)
 
-    def search(size: float, rng: np.random.Generator) -> float:
-        start = joints.project(shaken(x, length, size, rng), lengths, angles, space.projection.share)
+    def search(move: Callable[[Float], Float]) -> float:
+        start = joints.project(move(x), lengths, angles, space.projection.share)
         return 2.0 * shell.energy(shell.relax(start, *wanted, steps).points, *wanted)
 
     return search
 
 
-def spread(energies: list[float]) -> str:
+def spread(found: list[float]) -> str:
     """Say which energies were found."""
-    low, high = min(energies), max(energies)
+    low, high = min(found), max(found)
     least, most = (f"{energy:.3g}" if energy < 1000 else f"{energy:.0f}" for energy in (low, high))
     return least if high <= (1 + SAME) * low else f"{least} to {most}"
 
@@ -122,7 +105,7 @@ def page(results: Results) -> list[str]:
         "lowered by the steps only, as frames rebuild joints."
     ]
     for mesh, result in results.items():
-        rows = [(name, *(spread(energies) for energies in found.values())) for name, found in result["methods"].items()]
+        rows = [(name, *map(spread, found.values())) for name, found in result["methods"].items()]
         heads = ("method", "no noise", *(f"{size:g} edges" for size in NOISE))
         blocks += [f"## {mesh}: {result['title']}", markdown_table(heads, rows)]
     grown = growth(results)
@@ -146,16 +129,14 @@ def growth(results: Results) -> dict[str, dict[str, list[float]]]:
     """Return the largest energy by noise over that without, by method and mesh."""
     found: dict[str, dict[str, list[float]]] = {}
     for mesh, result in results.items():
-        for name, energies in result["methods"].items():
-            of = [max(energies[f"{size:g}"]) / energies["0"][0] for size in NOISE]
-            found.setdefault(name, {})[mesh] = of
+        for name, of in result["methods"].items():
+            found.setdefault(name, {})[mesh] = [max(of[f"{size:g}"]) / of["0"][0] for size in NOISE]
     return found
 
 
-def found_lower(energies: Json) -> bool:
+def found_lower(of: Json) -> bool:
     """Return whether some start with noise finds a lower energy than that without."""
-    without = energies["0"][0]
-    return any(min(energies[f"{size:g}"]) < (1 - SAME) * without for size in NOISE)
+    return any(min(of[f"{size:g}"]) < (1 - SAME) * of["0"][0] for size in NOISE)
 
 
 def verdict(results: Results) -> list[str]:

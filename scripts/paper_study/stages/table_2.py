@@ -8,10 +8,10 @@ import mixseq
 from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.methods import METHODS, Anchored, Edge, strips
+from scripts.paper_study.common.methods import Anchored, Edge, Free, strips
 from scripts.paper_study.common.poses import ALL, PAPER, Poses
 from scripts.paper_study.common.printed import TABLE_2, edge_dimension
-from scripts.paper_study.common.record import Json, Results, Say
+from scripts.paper_study.common.record import Json, Results, Say, by_mesh
 
 MESHES = PAPER
 STRIPS, DEFAULT = "the paper's strips", "default of `fit`"
@@ -20,46 +20,41 @@ MIXED = (STRIPS, "MixIT, free", "MixIT", DEFAULT)
 
 def measure(poses: Poses, folder: Path, say: Say) -> Json:
     edges, vertices = len(poses.topology.edges), poses.sequence.vertex_count
-    labels = poses.segmented()
-    edge = METHODS["DSO"](poses, labels)
-    assert isinstance(edge, Edge)
-    result: Json = {
-        "edges": edges,
-        "vertices": vertices,
-        "printed way": edge_dimension(edges, vertices),
-        "defined": edge.space.paper_dimension,
-        "stored": edge.space.dim,
-    }
-    spaces: dict[str, tuple[Decomposition, int | None]] = {STRIPS: (strips(poses, labels, full=True), None)}
-    for name in MIXED[1:3]:
-        mixed = METHODS[name](poses, labels)
-        assert isinstance(mixed, Anchored)
-        spaces[name] = mixed.decomposition, mixed.space.dim
-    model = mixseq.fit(poses.sequence)
+    labels, edge = poses.segmented(), Edge(poses).space
+    counts = {"edges": edges, "vertices": vertices, "printed way": edge_dimension(edges, vertices)}
+    cut, model = strips(poses, labels), mixseq.fit(poses.sequence)
     assert isinstance(model.space, MixedSpace)
-    spaces[DEFAULT] = model.space.decomposition, model.space.dim
-    for name, (cut, stored) in spaces.items():
-        counts = {"parts": len(cut.parts), "joints": len(cut.joints)}
-        result[name] = {**counts, "defined": cut.paper_dimension, "stored": stored}
-    return result
+    return {
+        **counts,
+        "defined": edge.paper_dimension,
+        "stored": edge.dim,
+        STRIPS: row_of(strips(poses, labels, full=True), None),
+        "MixIT, free": row_of(cut, Free(poses, cut).space.dim),
+        "MixIT": row_of(cut, Anchored(poses, cut).space.dim),
+        DEFAULT: row_of(model.space.decomposition, model.space.dim),
+    }
+
+
+def row_of(cut: Decomposition, stored: int | None) -> Json:
+    """Return the dimensions of a mixed space, as defined and as stored."""
+    counts = {"parts": len(cut.parts), "joints": len(cut.joints)}
+    return {**counts, "defined": cut.paper_dimension, "stored": stored}
 
 
 def page(results: Results) -> list[str]:
-    edge, mixed = [], []
+    edge, mixed = [], list[tuple[str, ...]]()
     for mesh, r in results.items():
         printed = TABLE_2[ALL[mesh].printed]
         counts = (r["vertices"], r["edges"], printed.edge, r["printed way"], r["defined"], r["stored"])
         edge.append((mesh, *(f"{n:,}" for n in counts)))
-        mixed.append((f"**{mesh}**", "the paper", "", "", f"{printed.mixed:,}", "", f"{printed.ratio:.1f}",
-                      f"{r['defined'] / printed.mixed:.1f}", ""))  # fmt: skip
+        ratio = f"{r['defined'] / printed.mixed:.1f}"
+        mixed.append((f"**{mesh}**", "the paper", "", "", f"{printed.mixed:,}", "", f"{printed.ratio:.1f}", ratio, ""))
         for name in MIXED:
             m = r[name]
-            mixed.append(
-                (mesh, name, str(m["parts"]), str(m["joints"]), f"{m['defined']:,}",
-                 f"{m['stored']:,}" if m["stored"] else "",
-                 f"{r['printed way'] / m['defined']:.2f}", f"{r['defined'] / m['defined']:.2f}",
-                 f"{r['stored'] / m['stored']:.2f}" if m["stored"] else "")
-            )  # fmt: skip
+            stored = (f"{m['stored']:,}", f"{r['stored'] / m['stored']:.2f}") if m["stored"] else ("", "")
+            ratios = (f"{r[way] / m['defined']:.2f}" for way in ("printed way", "defined"))
+            parts = str(m["parts"]), str(m["joints"])
+            mixed.append((mesh, name, *parts, f"{m['defined']:,}", stored[0], *ratios, stored[1]))
     return [
         "## S_e",
         markdown_table(("mesh", "V", "E", "printed", "2E + 3V + 6", "defined: 2E + 6", "stored by us"), edge),
@@ -89,11 +84,10 @@ def verdict(results: Results) -> list[str]:
         f"{mesh} {r['printed way'] / r[STRIPS]['defined']:.2f} ({TABLE_2[ALL[mesh].printed].ratio:g})"
         for mesh, r in results.items()
     ]
-    stored = [f"{mesh} {r['stored'] / r[DEFAULT]['stored']:.2f}" for mesh, r in results.items()]
+    stored = by_mesh(results, lambda r: f"{r['stored'] / r[DEFAULT]['stored']:.2f}")
     same = all(r["printed way"] == TABLE_2[ALL[mesh].printed].edge for mesh, r in results.items())
     return [
         ("The printed dimensions of S_e are 2E + 3V + 6, on our meshes to the last digit. " if same else "")
         + "dim S_e / dim S_m counted like that, with the paper's strips on our parts (the paper's): "
-        f"{', '.join(ratios)}. What `mixseq.fit` stores of S_e over what it stores of S_m by default: "
-        f"{', '.join(stored)}."
+        f"{', '.join(ratios)}. What `mixseq.fit` stores of S_e over what it stores of S_m by default: {stored}."
     ]

@@ -8,7 +8,7 @@ from scripts.paper_study.common.errors import folded
 from scripts.paper_study.common.methods import Strips, strips
 from scripts.paper_study.common.poses import ALL, PAPER, Poses, between
 from scripts.paper_study.common.printed import TABLE_1, TABLE_2, TABLE_3, Variant
-from scripts.paper_study.common.record import Json, Results, Say, ratio_range
+from scripts.paper_study.common.record import Json, Results, Say, by_mesh, ratio_range
 from scripts.paper_study.common.variants import measured_row, printed_row, row_of, table
 
 MESHES = PAPER
@@ -50,9 +50,8 @@ def page(results: Results) -> list[str]:
 
 
 def verdict(results: Results) -> list[str]:
-    changes = [
-        f"{mesh} {r['3']['lengths'][1]:.2g} to {r['9']['lengths'][1]:.2g} for "
-        f"{r['9']['total'] / r['3']['total']:.1f} times the time"
-        for mesh, r in results.items()
-    ]
-    return [f"Length errors at 99.9 % from width 3 to width 9: {'; '.join(changes)}."]
+    def change(r: Json) -> str:
+        (few, narrow), (many, wide) = ((r[width]["lengths"][1], r[width]["total"]) for width in ("3", "9"))
+        return f"{few:.2g} to {many:.2g} for {wide / narrow:.1f} times the time"
+
+    return [f"Length errors at 99.9 % from width 3 to width 9: {by_mesh(results, change, '; ')}."]

@@ -50,10 +50,8 @@ def page(results: Results) -> list[str]:
 
 
 def verdict(results: Results) -> list[str]:
-    changes = []
-    for mesh, result in results.items():
-        few, many = (result[str(parts)] for parts in PARTS[mesh])
-        changes.append(
-            f"{mesh} {few['lengths'][1]:.2g} with {few['parts']}, {many['lengths'][1]:.2g} with {many['parts']}"
-        )
+    changes = [
+        f"{mesh} " + ", ".join(f"{r[str(p)]['lengths'][1]:.2g} with {r[str(p)]['parts']}" for p in PARTS[mesh])
+        for mesh, r in results.items()
+    ]
     return [f"Length errors at 99.9 % by the number of parts: {'; '.join(changes)}."]

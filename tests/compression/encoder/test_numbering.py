@@ -16,7 +16,7 @@ from mixseq.compression.numbering import cheapest_numbering, find_numbering, obj
 from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import Polygons, match_polygons
 from mixseq.sequence.sequence import MeshSequence
-from mixseq_io.verification import read_compressed
+from mixseq_io.model_files import read_compressed
 from tests.compression.test_renumbering import partition, scrambled, seen
 from tests.meshes import bar, grid
 

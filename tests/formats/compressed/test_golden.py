@@ -12,7 +12,7 @@ import mixseq
 from mixseq.compression.compressed_model import CompressedModel
 from mixseq.mesh.surface import FaceSet, Surface
 from mixseq.sequence.sequence import MeshSequence
-from mixseq_io.verification import read_compressed, read_container
+from mixseq_io.model_files import read_compressed, read_container
 from tests.formats.compressed.stream_cases import GOLDEN
 from tests.meshes import bar
 
