@@ -125,6 +125,15 @@ class ClosestPointQuery:
             faces[hits] = self.face_ids[faces[hits]]
         return ClosestPoints(faces, weights, distances)
 
+    def query_facing(self, queries: Float, normals: Float) -> tuple[Index, Float]:
+        """Return the closest triangles that face the same way, or else the closest of any, and barycentric weights."""
+        closest = self.query(queries, normals)
+        unmatched = np.flatnonzero(closest.faces < 0)
+        if unmatched.size:
+            closest_any = self.query(queries[unmatched])
+            closest.faces[unmatched], closest.weights[unmatched] = closest_any.faces, closest_any.weights
+        return closest.faces, closest.weights
+
 
 def _check_vectors(vectors: FloatArray, what: str) -> Float:
     """Return a copy of vectors ``(n, 3)``; raise SettingsError for another shape or values that are not finite."""
