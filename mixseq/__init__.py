@@ -49,7 +49,8 @@ if TYPE_CHECKING:
     from mixseq.signals.fitting import fit as fit
     from mixseq.signals.model import Model as Model
     from mixseq.signals.pose import PoseMap as PoseMap
-    from mixseq_io.loading import load as load
+    from mixseq_io.model_files import load as load
+    from mixseq_io.model_files import save as save
     from mixseq_io.registry import open_sequence as open_sequence
     from mixseq_io.registry import read as read
     from mixseq_io.registry import write as write
@@ -57,7 +58,6 @@ if TYPE_CHECKING:
     from mixseq_io.rig_files import read_bind_pose as read_bind_pose
     from mixseq_io.rig_files import read_skeleton as read_skeleton
     from mixseq_io.rig_files import write_rig as write_rig
-    from mixseq_io.saving import save as save
     from mixseq_io.text.markers import read_markers as read_markers
     from mixseq_io.vat.writer import write_vat as write_vat
     from mixseq_io.verification import Verification as Verification
@@ -84,8 +84,7 @@ _NAMES_BY_MODULE = {
     "mixseq.signals.model": ("Model",),
     "mixseq.signals.pose": ("PoseMap",),
     "mixseq_io": ("open_sequence", "read", "read_bind_pose", "read_skeleton", "write", "write_blocks", "write_rig"),
-    "mixseq_io.loading": ("load",),
-    "mixseq_io.saving": ("save",),
+    "mixseq_io.model_files": ("load", "save"),
     "mixseq_io.text.markers": ("read_markers",),
     "mixseq_io.vat.writer": ("write_vat",),
     "mixseq_io.verification": ("Verification", "verify"),

@@ -21,8 +21,8 @@ from mixseq.mesh.measures import choose_origin
 from mixseq.sequence.sequence import MeshSequence, rounding_margin
 from mixseq.signals.detail import EXACT_TOLERANCE
 from mixseq.types import FloatArray, Index
+from mixseq_io.model_files import read_compressed
 from mixseq_io.rig_files import write_measured_rig
-from mixseq_io.verification import read_compressed
 from tests.formats.vat.shader import looked_up, told, vertices_of
 
 Way = str

@@ -221,21 +221,17 @@ def _delete(folder: Path, names: list[str]) -> None:
 @contextmanager
 def atomic_file(path: str | os.PathLike[str], check: Callable[[Path], object] | None = None) -> Iterator[Path]:
     """Yield a temporary path; its file replaces `path` if the block and `check`, called with it, raise no exception."""
-    target = Path(os.path.realpath(path))
-    with _translate_write_errors(target):
-        check_target(path)
-        with temporary_prefix(target.parent) as prefix:
-            temporary = Path(f"{prefix}{target.suffix}")
-            yield temporary
-            if check is not None:
-                check(temporary)
-            if target.exists():
-                shutil.copymode(target, temporary)
-            _flush(temporary)
-            raise_pending_signal()
-            with deferred_signals():
-                temporary.replace(target)
-        _flush_folder(target.parent)
+    with _prepare_target(path) as (target, prefix):
+        temporary = Path(f"{prefix}{target.suffix}")
+        yield temporary
+        if check is not None:
+            check(temporary)
+        if target.exists():
+            shutil.copymode(target, temporary)
+        _flush(temporary)
+        raise_pending_signal()
+        with deferred_signals():
+            temporary.replace(target)
 
 
 @contextmanager
@@ -244,22 +240,17 @@ def atomic_files(pattern: str | os.PathLike[str]) -> Iterator[Path]:
 
     All files are written and flushed before the first is renamed; only SIGKILL can leave an incomplete set of files.
     """
-    target = Path(os.path.realpath(pattern))
-    folder = target.parent
-    with _translate_write_errors(target):
-        check_target(pattern)
-        with temporary_prefix(folder) as temporary:
-            temporary.mkdir()
-            yield temporary
-            files = sorted(temporary.iterdir())
+    with _prepare_target(pattern) as (target, temporary):
+        temporary.mkdir()
+        yield temporary
+        files = sorted(temporary.iterdir())
+        for file in files:
+            check_target(target.parent / file.name)
+            _flush(file)
+        raise_pending_signal()
+        with deferred_signals():
             for file in files:
-                check_target(folder / file.name)
-                _flush(file)
-            raise_pending_signal()
-            with deferred_signals():
-                for file in files:
-                    file.replace(folder / file.name)
-        _flush_folder(folder)
+                file.replace(target.parent / file.name)
 
 
 @contextmanager
@@ -269,27 +260,23 @@ def atomic_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator
     In an existing folder, files with the writer's `own` names are replaced or deleted; all other files are kept. If one
     file cannot be moved, all files are moved back.
     """
-    target = Path(os.path.realpath(path))
-    with _translate_write_errors(target):
-        check_target(path, is_folder=True)
-        with temporary_prefix(target.parent) as prefix:
-            temporary = Path(f"{prefix}.new")
-            temporary.mkdir()
-            yield temporary
-            for file in temporary.iterdir():
-                _flush(file)
-            _flush_folder(temporary)
-            for file in target.iterdir() if target.exists() else ():
-                if file.name in own:
-                    check_target(file)
-            raise_pending_signal()
-            with deferred_signals():
-                if target.exists():
-                    _exchange(temporary, target, own, Path(f"{prefix}.old"))
-                else:
-                    temporary.rename(target)
+    with _prepare_target(path, is_folder=True) as (target, prefix):
+        temporary = Path(f"{prefix}.new")
+        temporary.mkdir()
+        yield temporary
+        for file in temporary.iterdir():
+            _flush(file)
+        _flush_folder(temporary)
+        for file in target.iterdir() if target.exists() else ():
+            if file.name in own:
+                check_target(file)
+        raise_pending_signal()
+        with deferred_signals():
+            if target.exists():
+                _exchange(temporary, target, own, Path(f"{prefix}.old"))
+            else:
+                temporary.rename(target)
         _flush_folder(target)
-        _flush_folder(target.parent)
 
 
 def _exchange(source: Path, target: Path, own: Container[str], old: Path) -> None:
@@ -363,10 +350,14 @@ def raise_system_error(message: str, folder: Path) -> None:
 
 
 @contextmanager
-def _translate_write_errors(target: Path) -> Iterator[None]:
-    """Translate operating system errors into `OutputError` with a cure in the message."""
+def _prepare_target(path: str | os.PathLike[str], is_folder: bool = False) -> Iterator[tuple[Path, Path]]:
+    """Yield a target, links resolved, and a prefix of temporary paths beside it; translate errors, flush its folder."""
+    target = Path(os.path.realpath(path))
     try:
-        yield
+        check_target(path, is_folder)
+        with temporary_prefix(target.parent) as prefix:
+            yield target, prefix
+        _flush_folder(target.parent)
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno else str(error)
         cure = _CURES.get(error.errno or 0, "check the disk and the path")

@@ -1,11 +1,9 @@
 """Run readers in a worker process, for formats that are parsed by C++ libraries.
 
 A damaged file can make these libraries crash, hang, or allocate all memory, which cannot be caught in the same process.
-Readers run in a worker (`mixseq_io.worker`), a second Python process with limits on memory (`mixseq_io.files`) and on
-time per request. If the worker dies, the file is reported as damaged. ``MIXSEQ_READER_SECONDS`` limits the processor
-time, by default to 120 s. Wall-clock time may be four times longer.
-
-Workers are started on demand, serve one open file at a time, and are reused. A forked process starts its own workers.
+A worker (`mixseq_io.worker`) is a second Python process with limits on memory (`mixseq_io.files`) and on time per
+request: ``MIXSEQ_READER_SECONDS`` of processor time, by default 120, and four times that by the clock. If it dies, the
+file is reported as damaged. Workers serve one open file at a time, and are reused. A forked process starts its own.
 """
 
 from __future__ import annotations

@@ -1,12 +1,10 @@
 """Read and write NumPy archives (zip files of arrays) in blocks of frames; pickled arrays are rejected.
 
-``docs/formats.md`` lists the arrays, among which are those of `mixseq_io.surfaces`.
-
 A small zip file can unpack to any size, and its headers can be wrong. The stored size of an array must match its shape,
 and all arrays that are read at once must fit the memory limit. Compression methods that NumPy does not write are
 rejected, since the memory for unpacking them is not limited.
 
-Specification: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
+Specification: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html and ``docs/formats.md``
 """
 
 from __future__ import annotations
@@ -62,6 +60,7 @@ _DAMAGE_ERRORS = (
 """Exceptions that zipfile, zlib and NumPy raise for damaged files."""
 
 _COMPRESSION_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_HEADER_READERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
 class ArrayHeader(NamedTuple):
@@ -105,7 +104,10 @@ class Archive:
                 "save it again with numpy.savez"
             )
         with self._file.open(member) as stream:
-            header = self._header(name, stream)
+            version = npy.read_magic(stream)
+            if version not in _HEADER_READERS:
+                raise FormatError(f"{self._path}: {name} have npy version {version}; 1.0 and 2.0 can be read")
+            header = ArrayHeader(*_HEADER_READERS[version](stream))
             if header.dtype.hasobject:
                 raise DamageError(f"{name} has Python objects, which are not read")
             if stream.tell() + prod(header.shape) * header.dtype.itemsize != member.file_size:
@@ -114,14 +116,6 @@ class Archive:
                     "damaged"
                 )
             yield stream, header
-
-    def _header(self, name: str, stream: IO[bytes]) -> ArrayHeader:
-        version = npy.read_magic(stream)
-        if version == (1, 0):
-            return ArrayHeader(*npy.read_array_header_1_0(stream))
-        if version == (2, 0):
-            return ArrayHeader(*npy.read_array_header_2_0(stream))
-        raise FormatError(f"{self._path}: {name} have npy version {version}; 1.0 and 2.0 can be read")
 
 
 @contextmanager

@@ -35,12 +35,12 @@ def _reader(reference: str) -> ArgumentReader:
     return lambda path, _: import_function(reference)(path)
 
 
-_read_model = _reader("mixseq_io.loading:load")
+_read_model = _reader("mixseq_io.model_files:load")
 
 
 def _read_frames(path: str, arguments: Arguments, open_frames: Callable[[str], Any] = read) -> Any:
     """Load a model, or read a sequence, which the caller closes if it is opened."""
-    from mixseq_io.loading import is_model
+    from mixseq_io.model_files import is_model
 
     return _read_model(path, arguments) if is_model(Path(path)) else open_frames(path)
 

@@ -1,39 +1,14 @@
-r"""Read and write PC2 and MDD caches, binary files with the points of all frames, and a mesh file with the faces.
+"""Read and write PC2 and MDD caches, binary files with the points of all frames, and a mesh file with the faces.
 
 A cache ``walk.pc2`` belongs to ``walk.obj``, to another mesh file with this name, or to the file of the option `mesh`.
 The mesh file has the faces, the surface, the name, the units and the up axis; for an OBJ file, Y is up. Transforms in
 the mesh file are not applied to the points. The writer makes the cache and ``<name>.obj`` with the first frame.
 
-PC2 (3ds Max, Blender, Maya), little-endian:
+PC2 (3ds Max, Blender, Maya) is little-endian. Times are evenly spaced frame numbers, which the option `fps` converts to
+seconds, since the file has no frame rate. MDD (LightWave, Blender, Modo) is big-endian. Its frame rate is estimated
+from the median time step, and times within float32 rounding of whole frames are snapped to these frames in float64.
 
-=======================  ===========================================================
-``"POINTCACHE2\0"``       12 bytes
-version                  int32, 1
-number of points         int32
-first frame              float32
-frames between samples   float32
-number of samples        int32
-points                   float32, x, y, z of all points, sample after sample
-=======================  ===========================================================
-
-Times are evenly spaced frame numbers. The option `fps` converts frame numbers to seconds, since the file has no frame
-rate. PC2 cannot store uneven times, units, the up axis or velocities.
-
-Specification: http://www.footools.com/plugins/docs/PointCache2_README.html
-
-MDD (LightWave, Blender, Modo), big-endian:
-
-=================  ===========================================================
-number of frames   int32
-number of points   int32
-times              float32, seconds, one per frame
-points             float32, x, y, z of all points, frame after frame
-=================  ===========================================================
-
-The frame rate is estimated from the median time step. Times within float32 rounding of whole frames are snapped to
-these frames in float64. MDD cannot store units, the up axis or velocities.
-
-Specification: http://rodolphe-vaillant.fr/?e=134
+Specifications: http://www.footools.com/plugins/docs/PointCache2_README.html, http://rodolphe-vaillant.fr/?e=134
 """
 
 from __future__ import annotations
@@ -80,7 +55,7 @@ _MESH_EXTENSIONS = (".obj", ".ply", *_USD_EXTENSIONS, ".abc", ".glb", ".gltf", "
 class CacheHeader:
     """Header of a cache file."""
 
-    size: int  # size of the header in bytes
+    size: int  # in bytes
     byte_order: str  # "<" or ">"
     point_count: int
     times: NDArray[np.float64]  # (T,) times in seconds
@@ -124,7 +99,8 @@ def open_cache(
             file = stack.enter_context(path.open("rb"))
             cache = read_header(file)
         mesh_path = _find_mesh(path, format_name) if mesh is None else Path(mesh)
-        header = _read_mesh_header(mesh_path)
+        with open_sequence(mesh_path) as reader:
+            header = reader.header
         if header.vertex_count != cache.point_count:
             raise FormatError(
                 f"{path} has {cache.point_count} points, but its mesh {mesh_path} has {header.vertex_count} vertices; "
@@ -149,11 +125,6 @@ def _find_mesh(path: Path, format_name: str) -> Path:
     )
 
 
-def _read_mesh_header(path: Path) -> SequenceHeader:
-    with open_sequence(path) as reader:
-        return reader.header
-
-
 def write_cache(
     path: Path,
     format_name: str,
@@ -164,11 +135,7 @@ def write_cache(
     byte_order: str,
     losses: Iterable[str],
 ) -> None:
-    """Write a point cache, and beside it ``<name>.obj`` with the first frame; after an error neither file is written.
-
-    An existing OBJ file is replaced only if it has the same faces. `byte_order` is "<" or ">". `losses` describe lost
-    times; velocities are always lost.
-    """
+    """Write a cache, and beside it ``<name>.obj`` with the first frame, or neither; `losses` describe lost times."""
     target = Path(os.path.realpath(path))
     mesh = target.with_suffix(".obj")
     _check_existing_mesh(target, mesh, header)
@@ -189,7 +156,8 @@ def _check_existing_mesh(path: Path, mesh: Path, header: SequenceHeader) -> None
     if not mesh.is_file():
         return
     try:
-        existing = _read_mesh_header(mesh)
+        with open_sequence(mesh) as reader:
+            existing = reader.header
         is_same = existing.vertex_count == header.vertex_count and existing.polygons.same_as(header.polygons)
     except MixseqError:
         is_same = False
@@ -201,6 +169,8 @@ def _check_existing_mesh(path: Path, mesh: Path, header: SequenceHeader) -> None
 
 _PC2_MAGIC = b"POINTCACHE2\0"
 _PC2_STRUCT = struct.Struct("<12siiffi")
+"""Magic, version, number of points, first frame, frames between samples, number of samples; then points of samples."""
+
 _MAX_TIME_ERROR_FRAMES = 1e-3
 """Largest error of a time without a warning."""
 
@@ -248,6 +218,8 @@ def _even_times(first: float, step: float, count: int, fps: float) -> NDArray[np
 
 
 _MDD_STRUCT = struct.Struct(">ii")
+"""Numbers of frames and points; then the times in seconds, and the points of all frames, in float32."""
+
 _MAX_RATE_ERROR_RATIO = 2e-4
 """Largest relative error of a rate that follows from rounded times without a warning."""
 

@@ -147,10 +147,7 @@ def warn(message: str) -> None:
 
 
 class SequenceReader(ABC):
-    """Open file of a mesh sequence, usable as a context manager.
-
-    Subclasses open the file, read its header, and implement `_read`.
-    """
+    """Open file of a mesh sequence, usable as a context manager; subclasses implement `_read`."""
 
     def __init__(
         self,
@@ -252,9 +249,6 @@ class SequenceReader(ABC):
     def _check_open(self) -> None:
         if self._closed:
             raise FormatError(f"{self.path} is closed; read its blocks inside the with statement")
-        self._check_process()
-
-    def _check_process(self) -> None:
         if self._process_id != os.getpid():  # both processes would share one position in the file
             raise FormatError(f"{self.path} was opened before this process was forked; open it again here")
 
@@ -274,11 +268,7 @@ class SequenceReader(ABC):
         check: Callable[[SequenceHeader, FloatArray, int], None],
     ) -> Iterator[FloatArray]:
         frame = 0
-        while True:
-            self._check_open()
-            block = next(blocks, None)
-            if block is None:
-                break
+        for block in self._while_open(blocks):
             with prefix_errors(self.path):
                 check(self.header, block, frame)
             yield block

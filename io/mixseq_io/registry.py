@@ -40,18 +40,14 @@ PER_VERTEX, OPAQUE_PER_VERTEX = "of vertices", "of vertices, opaque"
 
 @dataclass(frozen=True, kw_only=True)
 class Capabilities:
-    """Parts of a sequence that a format can store, which are shown as cells of the table of formats.
-
-    `colours` is a text if colours are stored per vertex instead of per corner. `materials` is "names" if only the names
-    of materials are stored. Writers warn of parts that their format cannot store.
-    """
+    """Parts of a sequence that a format can store, as cells of the table of formats; writers warn of others."""
 
     animation: str
     polygons: str = "any"
     points: str = SINGLE_PRECISION
     times: str = "any"
     uvs: bool = True
-    colours: bool | str = True
+    colours: bool | str = True  # a text if colours are stored per vertex instead of per corner
     hard_edges: bool = True
     face_sets: bool = True
     objects: bool = True
@@ -184,7 +180,7 @@ FORMATS: tuple[Format, ...] = (
         capabilities=Capabilities(
             animation="point samples, models", points="float32, float64", units=True, velocities=True
         ),
-        reader="mixseq_io.loading:open_h5",
+        reader="mixseq_io.model_files:open_h5",
         writer="mixseq_io.hdf5.sequences:write_h5",
         signatures=(HDF5_SIGNATURE,),
     ),
@@ -210,7 +206,7 @@ FORMATS: tuple[Format, ...] = (
             times="float32, from 0 on",
             materials="carried along",
         ),
-        reader="mixseq_io.loading:open_gltf",
+        reader="mixseq_io.model_files:open_gltf",
         writer="mixseq_io.gltf.writer:write_gltf",
         read_options={
             "prim": _PRIM_OPTION,
@@ -342,8 +338,6 @@ def open_sequence(
     file = Path(path)
     check_regular_file(file, "a file")
     file_format = _format_to_read(file)
-    if file.is_file():
-        _check_signature(file, file_format)
     with memory_limit(max_memory):
         reader = file_format.open(file, **options)
     overrides: dict[str, Any] = {"up_axis": up_axis, "metres_per_unit": metres_per_unit}
@@ -452,21 +446,33 @@ def write_blocks(
     ...     mixseq.write_blocks("copy.npz", reader.header, reader.blocks())
     """
     file = Path(path)
-    _format_to_write(file).write(file, header, blocks, velocities, **options)
+    file_format = _find_format(file)
+    if file_format is None:
+        raise OutputError(f"{file}: the extension {file.suffix.lower()!r} is not known; write one of {_extensions()}")
+    file_format.write(file, header, blocks, velocities, **options)
 
 
 def _format_to_read(path: Path) -> Format:
+    """Return the format of a file's extension; raise an error if its first bytes belong to another one."""
     if path.is_dir():
         return _format_of_folder(path)
-    if file_format := _find_format(path):
-        return file_format
-    if not path.exists():
+    file_format = _find_format(path)
+    if file_format is None and not path.exists():
         raise MissingFileError(f"{path} does not exist")
-    name = _detect_format_name(path)
-    contents = f"it holds {name} data" if name else "its contents are of no known format"
-    raise FormatError(
-        f"{path}: the extension {path.suffix.lower()!r} is not known, and {contents}; known are {_extensions()}"
-    )
+    try:
+        with path.open("rb") as file:
+            signature = file.read(_SIGNATURE_BYTES)
+    except OSError:
+        signature = b""  # the reader reports the error
+    name = _detect_format_name(signature)
+    if file_format is None:
+        contents = f"it holds {name} data" if name else "its contents are of no known format"
+        raise FormatError(
+            f"{path}: the extension {path.suffix.lower()!r} is not known, and {contents}; known are {_extensions()}"
+        )
+    if name and not signature.startswith(file_format.signatures):
+        raise FormatError(f"{path} holds {name} data, not {file_format.name}; give it the extension of {name}")
+    return file_format
 
 
 def _format_of_folder(folder: Path) -> Format:
@@ -485,12 +491,6 @@ def _format_of_folder(folder: Path) -> Format:
     return present[0]
 
 
-def _format_to_write(path: Path) -> Format:
-    if file_format := _find_format(path):
-        return file_format
-    raise OutputError(f"{path}: the extension {path.suffix.lower()!r} is not known; write one of {_extensions()}")
-
-
 def _find_format(path: Path) -> Format | None:
     return next((each for each in FORMATS if path.suffix.lower() in each.extensions), None)
 
@@ -499,26 +499,9 @@ def _extensions() -> str:
     return ", ".join(extension for each in FORMATS for extension in each.extensions)
 
 
-def _check_signature(path: Path, file_format: Format) -> None:
-    """Raise an error if a file's first bytes and its extension belong to different formats."""
-    if _read_signature(path).startswith(file_format.signatures):
-        return
-    if name := _detect_format_name(path):
-        raise FormatError(f"{path} holds {name} data, not {file_format.name}; give it the extension of {name}")
-
-
-def _detect_format_name(path: Path) -> str | None:
-    """Return the name of the format to which a file's first bytes belong."""
-    signature = _read_signature(path)
+def _detect_format_name(signature: bytes) -> str | None:
+    """Return the name of the format to which the first bytes of a file belong."""
     for file_format in FORMATS:
         if signature.startswith(file_format.signatures):
             return "zip (npz or usdz)" if signature.startswith(b"PK") else file_format.name
     return next((name for start, name in _FOREIGN_SIGNATURES.items() if signature.startswith(start)), None)
-
-
-def _read_signature(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return file.read(_SIGNATURE_BYTES)
-    except OSError:
-        return b""  # the reader reports the error

@@ -91,18 +91,15 @@ def write_measured_rig(path: Path, rig: Skin | Morph, sequence: MeshSequence, bo
 
 
 def _write(file: Path, rig: Skin | Morph, check: Callable[[Path], object] | None = None) -> None:
+    from mixseq.rigging.rigs import Skin
+
     check_rig_target(file)
     if file.suffix.lower() in USD_EXTENSIONS:
         from mixseq_io.usd.rigs import write_usd_rig
 
         write_usd_rig(file, rig, check)
-    else:
-        _write_gltf_rig(file, rig, check)
-
-
-def _write_gltf_rig(file: Path, rig: Skin | Morph, check: Callable[[Path], object] | None) -> None:
-    from mixseq.rigging.rigs import Skin
-    from mixseq_io.gltf.codecs import open_buffer_writer
+        return
+    from mixseq_io.gltf.buffers import open_buffer_writer
     from mixseq_io.gltf.rigs import create_morphed_scene, create_skinned_scene
     from mixseq_io.gltf.writer import standalone_losses, warn_of_changes
 
@@ -248,11 +245,7 @@ def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
 def measure_file_between(
     path: Path, header: SequenceHeader, points_at: Callable[[Float], Iterable[FloatArray]]
 ) -> float | None:
-    """Return the largest distance of a written file from a motion, at the quarters between its frames, in its units.
-
-    `points_at` returns the motion's points in blocks ``(B, V, 3)`` at times ``(N,)`` of the file. The result is None if
-    the file has other meshes as well.
-    """
+    """Return the largest distance of a file from a motion between frames, in its units; None if it has other meshes."""
     from mixseq.signals.decoding import largest_distance, played_blocks, quarter_times
     from mixseq_io.registry import open_sequence
 

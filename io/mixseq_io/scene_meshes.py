@@ -1,22 +1,33 @@
 """Select meshes in a scene, and convert them to and from one mesh sequence.
 
 Readers make a `SceneObject` of every mesh and its ancestors, select meshes below `prim` or moving meshes, and join the
-selected meshes as `SceneMesh` objects. Writers split a header into its meshes again. Mesh ``i`` has the vertices
-``meshes[i].vertices`` of every frame. Key times of several channels are merged if they differ only by rounding.
+selected meshes as `SceneMesh` objects. Writers split a header into its meshes again, and match them with the original,
+of which a copy with new points is written: by path, or by faces if exactly one mesh of the file has the same faces.
+Key times of several channels are merged if they differ only by rounding.
 """
 
 from __future__ import annotations
 
+import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, MixseqError
-from mixseq.mesh.polygons import PolygonMatch, Polygons, match_polygons
+from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, MixseqError, OutputError, SettingsError
+from mixseq.mesh.polygons import (
+    PolygonMatch,
+    Polygons,
+    count_common_polygons,
+    describe_difference,
+    match_polygons,
+    reversed_winding,
+)
 from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import FileKeys, SequenceHeader
@@ -78,19 +89,6 @@ def _find_path(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
     return found
 
 
-def select_moving_meshes(file: Path, meshes: Sequence[SceneObject], is_moving: Sequence[bool]) -> list[int]:
-    """Return the indices of moving meshes, and warn of omitted static meshes; return all indices if no mesh moves."""
-    if not any(is_moving):
-        return list(range(len(meshes)))
-    static = [mesh.path for mesh, moves in zip(meshes, is_moving, strict=True) if not moves]
-    if static:
-        warn(
-            f"{file}: meshes that stand still are left out; prim='/' (--prim / on the command line) takes them, too: "
-            f"{format_names(static)}"
-        )
-    return [index for index, moves in enumerate(is_moving) if moves]
-
-
 _READ_ERRORS = (MixseqError, RuntimeError, ValueError, TypeError, LookupError, ArithmeticError)
 """Errors of readers and libraries about damaged meshes."""
 
@@ -131,7 +129,12 @@ def read_valid_meshes(
     if errors:
         reasons = [_describe_damage(file, meshes[index].path, error) for index, error in errors.items()]
         warn(f"{file}: meshes that cannot be read are left out: {format_names(reasons, str)}")
-    select_moving_meshes(file, [meshes[i] for i in candidates], [is_moving[i] for i in candidates])  # for its warning
+    static = [meshes[index].path for index in sorted({*candidates} - {*chosen})]
+    if static:
+        warn(
+            f"{file}: meshes that stand still are left out; prim='/' (--prim / on the command line) takes them, too: "
+            f"{format_names(static)}"
+        )
     return results
 
 
@@ -229,19 +232,16 @@ def snap_to_frames(times: Float, fps: float) -> Float:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneMesh:
-    """Mesh of a scene, whose polygons index the mesh's vertices; fields are those of `Surface` and `MeshObject`.
-
-    `vertices` select the mesh's V vertices in the sequence. A face set of all polygons is the mesh's material.
-    """
+    """Mesh of a scene, whose polygons index the mesh's vertices; fields are those of `Surface` and `MeshObject`."""
 
     name: str
     path: str
-    vertices: slice | Index
+    vertices: slice | Index  # V, in the sequence
     polygons: Polygons
     uvs: CornerValues | None = None
     colours: CornerValues | None = None
     hard_edges: IntArray | None = None
-    face_sets: tuple[FaceSet, ...] = ()
+    face_sets: tuple[FaceSet, ...] = ()  # one of all polygons is the mesh's material
     subdivision: str = "none"
 
     @property
@@ -405,3 +405,96 @@ def _restrict_face_sets(face_sets: Sequence[FaceSet], first: int, end: int) -> l
         if polygons.size:
             restricted.append(FaceSet(each.name, polygons, each.material))
     return restricted
+
+
+Loaded = TypeVar("Loaded")
+Mesh = TypeVar("Mesh")
+Match = TypeVar("Match")
+
+
+def open_original_file(
+    path: Path,
+    header: SequenceHeader,
+    flatten: bool,
+    onto: str | os.PathLike[str] | None,
+    format_name: str,
+    load: Callable[[Path], Loaded],
+) -> Loaded | None:
+    """Load the file to copy, or return None without one or with `flatten`; warn if a recorded origin is unreadable."""
+    if flatten and onto is not None:
+        raise SettingsError("flatten writes a stand-alone file, onto a copy of another; give one of them")
+    origin = header.surface.origin
+    if onto is not None:
+        file = Path(onto)
+    elif origin is not None and origin.format == format_name and not flatten:
+        file = Path(origin.path)
+    else:
+        return None
+    if path.exists() and file.exists() and path.samefile(file):
+        raise OutputError(f"{path} is the original and would be lost; write to another name")
+    try:
+        return load(file)
+    except (FormatError, InvalidSequenceError) as error:
+        if onto is not None:
+            raise OutputError(f"cannot write {path} onto another file: {error}") from error
+        warn(f"{error}; the result is a stand-alone file, without its other contents (onto=FILE names another)")
+        return None
+
+
+def match_meshes(
+    path: Path,
+    header: SequenceHeader,
+    meshes: Mapping[str, Mesh],
+    match: Callable[[SceneMesh, Mesh], Match | None],
+    describe_difference: Callable[[SceneMesh, Mesh], str],
+) -> list[Match]:
+    """Match every mesh of a sequence with one of the file's `meshes`, whose keys are paths."""
+    unmatched, matches = dict(meshes), []
+    for scene_mesh in split_meshes(header):
+        own_path = scene_mesh.path
+        label = own_path or scene_mesh.name
+        candidates = {own_path: unmatched[own_path]} if own_path in unmatched else unmatched
+        results = {name: match(scene_mesh, mesh) for name, mesh in candidates.items()}
+        matching = {name: result for name, result in results.items() if result is not None}
+        if len(matching) > 1:
+            raise FormatError(
+                f"{path} has {len(matching)} meshes with the faces of {label!r}, {format_names(list(matching))}"
+            )
+        if not matching:
+            reason = describe_difference(scene_mesh, *candidates.values()) if len(candidates) == 1 else ""
+            problem = f"{path} has no mesh with the faces of {label!r}"
+            raise FormatError(f"{problem}: {reason}" if reason else problem)
+        ((name, result),) = matching.items()
+        del unmatched[name]
+        matches.append(result)
+    return matches
+
+
+def describe_difference_up_to_winding(polygons: Polygons, stored: Polygons, name: str) -> str:
+    """Describe the first difference of polygons from those of a mesh, in the winding with more equal polygons."""
+    reversed_polygons = Polygons(stored.counts, stored.indices[reversed_winding(stored.counts, keep_first=True)])
+    closest = max((stored, reversed_polygons), key=partial(count_common_polygons, polygons))
+    return describe_difference(polygons, closest, ("the sequence", name))
+
+
+def is_retimed(header: SequenceHeader, sources: ArrayLike | None) -> bool:
+    """Whether `sources`, times of the original in seconds, are given and differ from the times of the frames."""
+    return sources is not None and not np.allclose(sources, header.times, rtol=0, atol=FRAME_TOLERANCE / header.fps)
+
+
+def warn_of_unretimed_motion(
+    path: Path, header: SequenceHeader, spans: Mapping[str, tuple[float, float]], sources: ArrayLike | None
+) -> None:
+    """Warn of objects whose animation does not follow the sequence; `spans` are their first and last times in seconds.
+
+    If `sources` ``(T,)`` retime the sequence, all objects count; else objects it outlasts by more than a frame.
+    """
+    first, last = (float(time) for time in header.times[[0, -1]])
+    frame, retimed = 1 / header.fps, is_retimed(header, sources)
+    unretimed = [name for name, (start, end) in spans.items() if retimed or first < start - frame or last > end + frame]
+    if unretimed:
+        start, end = min(spans[name][0] for name in unretimed), max(spans[name][1] for name in unretimed)
+        warn(
+            f"{path}: other animation keeps its own times, {start:g} to {end:g} s, and is not retimed: "
+            f"{format_names(unretimed)}"
+        )

@@ -17,7 +17,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.compression.numbering import Renumbering
 from mixseq.errors import FormatError, SettingsError
 from mixseq.mesh.measures import Diagonal
@@ -31,53 +30,8 @@ from mixseq.sequence.sequence import Frames, LazyFrames, check_frames, reference
 from mixseq.signals.decoding import FRAMES_PER_BLOCK
 from mixseq.signals.model import Model
 from mixseq.types import FloatArray, PathLike
-from mixseq_io.coded.streams import Container, decode_model, read_index, read_sequence
-from mixseq_io.gltf import mesh_sequence
-from mixseq_io.hdf5.contents import MODEL_FORMAT, parse_container, read_attributes, read_contents
-from mixseq_io.loading import load
-
-
-def is_compressed(path: Path) -> bool:
-    """Whether a file holds a compressed model."""
-    if mesh_sequence.is_glb(path):
-        return mesh_sequence.has_sequence(path)
-    file = read_attributes(path)
-    return file.kind == MODEL_FORMAT and "coding" in file.attrs
-
-
-def read_container(path: Path) -> Container:
-    """Read the text and the streams of a compressed model without decoding them."""
-    if mesh_sequence.is_glb(path):
-        return mesh_sequence.read_container(path)
-    return parse_container(read_contents(path, MODEL_FORMAT))
-
-
-def read_compressed(path: Path) -> CompressedSequence:
-    """Read a compressed sequence, and verify its checksums."""
-    return read_sequence(path, read_container(path))
-
-
-def compressed_sizes(path: Path) -> dict[str, int]:
-    """Return the size in bytes of each part of a compressed model."""
-    container = read_container(path)
-    indices = [read_index(path, each) for each in (container, *container.bodies)]
-    still = mesh_sequence.overhead_size(path) if mesh_sequence.is_glb(path) else 0
-
-    def size_of(name: str) -> int:
-        return sum(index.header[name].size for index in indices if name in index.header)
-
-    total, connectivity = path.stat().st_size, size_of("connectivity")
-    return {
-        "total": total,
-        "connectivity": connectivity,
-        "still": still,
-        "container": total - container.nbytes - still,
-        "signals": container.nbytes - connectivity,
-        "uvs": size_of("uvs"),
-        "surface": size_of("surface"),
-        "index": sum(index.size for index in indices),
-    }
-
+from mixseq_io.coded.streams import decode_model
+from mixseq_io.model_files import is_compressed, load, read_compressed
 
 _MEASURED_BOUND_TOLERANCE = 1e-9
 """Relative tolerance for a bound that was measured after compression instead of requested."""

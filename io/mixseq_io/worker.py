@@ -24,6 +24,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -112,18 +113,10 @@ def limit_memory(limit: int) -> None:
         import resource
     except ImportError:  # Windows
         return
-    limit += _data_segment_bytes()
+    with suppress(OSError):  # only Linux states the memory that counts
+        limit += int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5]) * os.sysconf("SC_PAGE_SIZE")
     _, hard_limit = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (limit if hard_limit < 0 else min(limit, hard_limit), hard_limit))
-
-
-def _data_segment_bytes() -> int:
-    """Return the bytes of memory that count for the limit, or 0 if the system does not report them."""
-    try:
-        pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[5]
-    except OSError:  # not Linux
-        return 0
-    return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
 
 def limit_time(fraction: float) -> None:

@@ -22,8 +22,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index, Mask
 
-DEGENERATE_HEIGHT_RATIO = 1e-4
-"""Ratio of height to longest side up to which a triangle has no area, as its single-precision normal is random."""
+DEGENERATE_HEIGHT_RATIO = 1e-4  # height to longest side without area, as normals in single precision are random
 
 CANCELLED_NORMAL_RATIO = 1e-6
 """Up to this ratio of |sum of face normals| to sum of |face normals|, the normals cancel and a vertex has no normal."""
@@ -125,6 +124,8 @@ def replace_degenerate(triangles: Float) -> Float:
     corners = np.stack([np.zeros_like(first), first, second], axis=1)
     normals = area_normals(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
     degenerate = np.flatnonzero(~normals.any(axis=1))
+    if not degenerate.size:
+        return triangles
     longest, along, length = _longest_sides(corners)
     mean_length = length[length > 0].mean() if length.any() else 1.0
     side = np.where(length > 0, length, mean_length)[degenerate, None]

@@ -28,13 +28,12 @@ from scipy.sparse.linalg import splu
 
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.rotations import rotvec_to_matrix
-from mixseq.operations.pose_solvers import PoseChange, PoseSolver, StillSolver
+from mixseq.operations.pose_solvers import HandleSolver, PoseChange, PoseSolver, StillSolver
 from mixseq.operations.sculpt import add_key_shape, weight_sites
 from mixseq.operations.sections import (
+    KeyWeights,
     breakpoints,
-    fade_window,
     interpolate_adaptively,
-    model_sites,
     placement_norm,
     shape_norm,
     snap_time,
@@ -51,19 +50,12 @@ from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index
 
-DEFAULT_SOFTNESS = 5e-3
-"""Default softness: distance from a target whose energy is that of one standard deviation of the pose, in diagonals."""
-
-MIN_HANDLES_OF_FREE_BODY = 3
-"""Number of handles, the kept vertices included, from which on bodies move: three points determine a rigid motion."""
-
+DEFAULT_SOFTNESS = 5e-3  # distance from a target whose energy is that of one standard deviation, in diagonals
+MIN_HANDLES_OF_FREE_BODY = 3  # handles from which on bodies move: three points determine a rigid motion
 SIGNAL_TOLERANCE = 1e-4  # largest error of signals between sites, in diagonals
 MAX_SILENT_MISS = 0.01  # distance of a handle from its target above which a warning is given, in diagonals
 RESIDUAL_RADIUS = 0.05  # radius l of the displacement at exact handles, in diagonals
-
-
-MIN_EXTENT_RATIO = 1e-6
-"""Extent of a part along a principal axis below which it has no moment, as a fraction of the largest."""
+MIN_EXTENT_RATIO = 1e-6  # extent of a part along an axis below which it has no moment, as a fraction of the largest
 
 
 class Key(NamedTuple):
@@ -218,7 +210,7 @@ def pose(
             raise SettingsError("the model is a still, with no motion to fade into; leave out start, end and fade")
         stills = [StillSolver(model, key.rows, softness, key.is_free) for key in keys.values()]
         return _pose_still(model, keys, stills, exact)
-    weights = _KeyWeights.from_times(model, np.array(list(keys)), start, end, fade)
+    weights = _key_weights(model, np.array(list(keys)), start, end, fade)
     solvers = [PoseSolver(model, key.rows, softness, key.is_free) for key in keys.values()]
     changes = [solver.solve(time, key.targets) for solver, (time, key) in zip(solvers, keys.items(), strict=True)]
     posed = _fade_changes(model, weights, solvers, changes, kept)
@@ -227,7 +219,8 @@ def pose(
         edited = _reach(solvers[number], time, points, key.targets, exact)
         if exact:
             difference = posed.space.shape_difference(posed.curve([time])[0], points, edited)
-            posed = add_key_shape(posed, difference, weights.curve(posed, number))
+            sites = weight_sites(posed, np.concatenate([breakpoints(posed.time), weights.knots]))
+            posed = add_key_shape(posed, difference, Curve(sites, weights.at(sites)[:, [number]]))
     return posed
 
 
@@ -238,31 +231,29 @@ class DraggedPose:
         """Take handles at one time, whose positions will change, and the other arguments of `pose`."""
         kept = _kept_rows(model, keep)
         ((time, key),) = _sort_by_time(model, handles, kept, None).items()
-        is_still = len(model.times) == 1
-        solver: Any = StillSolver if is_still else PoseSolver
+        solver: type[HandleSolver[Any]] = StillSolver if len(model.times) == 1 else PoseSolver
         self._solver = solver(model, key.rows, DEFAULT_SOFTNESS, key.is_free)
-        self._time = () if is_still else (time,)
-        self._kept_targets = key.targets[len(key.targets) - len(kept) :]
+        self._time, self._kept_targets = time, key.targets[len(key.targets) - len(kept) :]
         self._pose = self._solver.unchanged()
-        before = self._solver.points(*self._time, self._pose)
+        before = self._solver.points(time, self._pose)
         self._basis = displacement_basis(model, key.rows, before) if exact else None
 
     def points(self, targets: Float) -> Float:
         """Return the points ``(V, 3)`` with handles at targets ``(n, 3)``."""
         targets = np.concatenate([targets, self._kept_targets])
-        self._pose = self._solver.solve(*self._time, targets, start=self._pose, rounds=1)
-        points = self._solver.points(*self._time, self._pose)
+        self._pose = self._solver.solve(self._time, targets, start=self._pose, rounds=1)
+        points = self._solver.points(self._time, self._pose)
         if self._basis is not None:
             points = points + self._basis @ (targets - self._solver.positions(points))
         return np.asarray(points)
 
     def moved_model(self) -> Model:
         """Return the model with the change of the last pose at all times, which moves all bodies."""
-        moved: Model = self._solver.moved_model(self._pose)
-        return moved
+        assert isinstance(self._solver, PoseSolver)  # stills have a single body
+        return self._solver.moved_model(self._pose)
 
 
-def _reach(solver: PoseSolver | StillSolver, time: float, points: Float, targets: Float, exact: bool) -> Float:
+def _reach(solver: HandleSolver[Any], time: float, points: Float, targets: Float, exact: bool) -> Float:
     """Return the points ``(V, 3)`` deformed so that handles are exact, if asked for; otherwise warn of misses."""
     misses = targets - solver.positions(points)
     if exact:
@@ -281,7 +272,8 @@ def _pose_still(model: Model, keys: dict[float, Key], solvers: Sequence[StillSol
     """Fit a model to a still at its time and to its poses with handles at targets."""
     poses = {float(model.times[0]): model(model.start)}
     for solver, (time, key) in zip(solvers, keys.items(), strict=True):
-        poses[time] = _reach(solver, time, solver.points(solver.solve(key.targets)), key.targets, exact)
+        points = solver.points(time, solver.solve(time, key.targets))
+        poses[time] = _reach(solver, time, points, key.targets, exact)
     times = np.array(sorted(poses))
     header = replace(model.header, times=times, provenance=as_edited(model.header.provenance))
     frames = MeshSequence.from_header(header, np.stack([poses[time] for time in times.tolist()]))
@@ -323,56 +315,21 @@ def _key_time(model: Model, time: float) -> float:
     return float(time)
 
 
-class _KeyWeights(NamedTuple):
-    """Weights of the changes at K times: 1 at their own time and 0 at the others, C2."""
-
-    times: Float  # (K,)
-    start: float  # start and end of the full change
-    end: float
-    fade: float
-    model: Model
-
-    @classmethod
-    def from_times(
-        cls, model: Model, times: Float, start: float | None, end: float | None, fade: float | None
-    ) -> _KeyWeights:
-        """Check the interval of the full change, which covers the times ``(K,)``."""
-        first = times[0] if start is None else snap_time(model, start, "start")
-        last = times[-1] if end is None else snap_time(model, end, "end")
-        if not (first <= times[0] and times[-1] <= last):
-            raise SettingsError(
-                f"handles are at {times[0]:g} to {times[-1]:g} s, outside the interval from {first:g} to {last:g} s; "
-                "give a start before them and an end after them"
-            )
-        return cls(times, first, last, check_reach(model, fade, "fade"), model)
-
-    def ramps(self, number: int) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-        """Return the rise and the fall of a weight; None at the ends of the model."""
-        times = self.times
-        rise = (times[number - 1], times[number]) if number else (self.start - self.fade, self.start)
-        is_last = number == len(times) - 1
-        fall = (self.end, self.end + self.fade) if is_last else (times[number], times[number + 1])
-        return None if rise[1] <= self.model.start else rise, None if fall[0] >= self.model.end else fall
-
-    def at(self, times: Float) -> Float:
-        """Return the weights ``(N, K)`` at times ``(N,)``."""
-        return np.stack([fade_window(times, *self.ramps(number)) for number in range(len(self.times))], axis=1)
-
-    @property
-    def knots(self) -> Float:
-        """Knots ``(n,)`` of all weights, and the times of the handles."""
-        ramps = (ramp for number in range(len(self.times)) for ramp in self.ramps(number) if ramp is not None)
-        return np.concatenate([self.times, *(np.linspace(*ramp, 4) for ramp in ramps)])
-
-    def curve(self, model: Model, number: int) -> Curve:
-        """Return a weight as a curve, whose sites include those of the time signal."""
-        sites = weight_sites(model, np.concatenate([breakpoints(model.time), self.knots]))
-        return Curve(sites, self.at(sites)[:, [number]])
+def _key_weights(model: Model, times: Float, start: float | None, end: float | None, fade: float | None) -> KeyWeights:
+    """Return the weights of changes at times ``(K,)``; check the interval of the full change, which covers them."""
+    first = times[0] if start is None else snap_time(model, start, "start")
+    last = times[-1] if end is None else snap_time(model, end, "end")
+    if not (first <= times[0] and times[-1] <= last):
+        raise SettingsError(
+            f"handles are at {times[0]:g} to {times[-1]:g} s, outside the interval from {first:g} to {last:g} s; "
+            "give a start before them and an end after them"
+        )
+    return KeyWeights(times, first, last, check_reach(model, fade, "fade"), model)
 
 
 def _fade_changes(
     model: Model,
-    weights: _KeyWeights,
+    weights: KeyWeights,
     solvers: Sequence[PoseSolver],
     changes: Sequence[PoseChange],
     kept: Sequence[sparse.csr_array],
@@ -400,8 +357,7 @@ def _fade_changes(
         return np.maximum(pose_norm(steps[:, :dim]), body_norm(steps[:, dim:]))
 
     pose_norm, body_norm = shape_norm(model), placement_norm(model)
-    first, last = max(weights.start - weights.fade, model.start), min(weights.end + weights.fade, model.end)
-    sites = model_sites(model, first, last, weights.knots)
+    sites = weights.sites
     for time in weights.times:
         sites[np.abs(sites - time).argmin()] = time  # restores the exact time if it was merged with a knot
     curve = interpolate_adaptively(signal, sites, SIGNAL_TOLERANCE, norm)

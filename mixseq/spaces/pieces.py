@@ -166,8 +166,12 @@ class Pieces:
 
     def merge_rows(self, rows: Float) -> Float:
         """Return vertices ``(V, 3)`` from rows ``(N, 3)``; a shared vertex is the mean of its rows."""
-        counts = np.bincount(self.vertex_of_row)
-        return scatter_add(rows, self.vertex_of_row, len(counts)) / counts[:, None]
+        return scatter_add(rows, self.vertex_of_row, len(self._row_counts)) / self._row_counts[:, None]
+
+    @cached_property
+    def _row_counts(self) -> Index:
+        """Number of rows ``(V,)`` of every vertex."""
+        return np.bincount(self.vertex_of_row)
 
     @cached_property
     def _rows_of_pieces(self) -> list[Index]:
@@ -207,8 +211,8 @@ def _with_width(shape: Float) -> Float:
 
 
 @dataclass(frozen=True, eq=False)
-class PosedSpace(ShapeSpace):
-    """A space with shapes that are invariant under rigid motions of the pieces."""
+class PiecewiseSpace(ShapeSpace):
+    """A space with shapes of the pieces of a mesh."""
 
     topology: Topology  # connectivity of the mesh
     scale: float  # unit of errors, see `reference_diagonal`, in the units of the sequence
@@ -219,10 +223,20 @@ class PosedSpace(ShapeSpace):
         """Hinge-connected pieces of the mesh."""
         return Pieces.from_mesh(self.topology, self.reference)
 
+    @cached_property
+    def face_rows(self) -> Index:
+        """Rows ``(F, 3)`` of the corners of faces; pieces share no rows."""
+        return self.pieces.face_rows(self.topology)
+
     @property
     def vertex_count(self) -> int:  # type: ignore[override]
         """Implement `ShapeSpace.vertex_count`."""
         return self.topology.vertex_count
+
+
+@dataclass(frozen=True, eq=False)
+class PosedSpace(PiecewiseSpace):
+    """A space with shapes that are invariant under rigid motions of the pieces."""
 
     @property
     @abstractmethod

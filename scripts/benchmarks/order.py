@@ -17,7 +17,7 @@ import numpy as np
 
 import mixseq
 from mixseq.choices import ORDERS
-from mixseq_io.verification import compressed_sizes
+from mixseq_io.model_files import compressed_sizes
 from scripts.benchmarks.common.harness import BROKEN, animation, print_table
 
 COLUMNS = ("sequence", *(f"{order}, bits a triangle" for order in ORDERS), "keep, kB", *ORDERS[1:], "bounds hold")

@@ -108,11 +108,10 @@ def _rig(path: Path, options: dict[str, Any], times: Float) -> Rig:
 def _gltf_joints(path: Path, options: dict[str, Any], times: Float) -> dict[str, Float]:
     """Return the matrices ``(T, 4, 4)`` of all nodes by path."""
     from mixseq_io.gltf.animation import choose_animation, evaluate_pose, read_channels
-    from mixseq_io.gltf.codecs import decompress_document
-    from mixseq_io.gltf.document import load_document
+    from mixseq_io.gltf.codecs import load_plain_document
     from mixseq_io.gltf.scene import read_scene
 
-    document = decompress_document(load_document(path))
+    document = load_plain_document(path)
     scene = read_scene(document)
     nodes = set(scene.paths)
     channels = read_channels(document, choose_animation(document, options.get("animation")), nodes)

@@ -24,9 +24,9 @@ from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.operations import key_poses, with_body
 from mixseq.operations.retiming import read_retiming
 from mixseq.sequence.sequence import MeshSequence
+from mixseq_io.model_files import read_compressed
 from mixseq_io.text.maps import read_map, to_correspondence
 from mixseq_io.text.markers import read_contacts, read_markers
-from mixseq_io.verification import read_compressed
 from scripts.fuzzing.coding import damage_coding, decode_twice
 from scripts.fuzzing.damage import Damage, damage_archive, damage_bytes, damage_h5, damage_json, damage_text
 

@@ -16,7 +16,7 @@ import mixseq
 from mixseq.choices import OrderName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
 from mixseq.compression.compressed_model import CompressedModel
-from mixseq.errors import MixseqWarning, SegmentationError, SettingsError
+from mixseq.errors import FormatError, MixseqWarning, SegmentationError, SettingsError
 from mixseq.operations import exaggerate_part, key_poses, reverse, with_body
 from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.sequence.sequence import MeshSequence
@@ -85,7 +85,7 @@ def test_signals_are_those_of_the_exact_model(model: CompressedModel) -> None:
 def test_edits_are_plain_models(model: CompressedModel) -> None:
     edited = replace(model, placement=Curve(model.placement.times, model.placement.values + 0.0))
     assert type(edited) is Model
-    assert type(model.with_motion(*model.curves)) is Model
+    assert type(model.edited(time=model.time)) is Model
 
 
 def test_it_is_fitted_once(model: CompressedModel, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,6 +192,14 @@ def test_too_many_parts_are_told() -> None:
     labels = np.arange(len(sequence.faces))  # a part for every triangle
     with pytest.warns(MixseqWarning, match="128 can be stored"):
         assert mixseq.compress(sequence, max_error=1e-3, parts=labels).parts is None
+
+
+def test_damaged_labels_name_the_file(tmp_path: Path) -> None:
+    labels, file = coded().labels, tmp_path / "damaged.h5"
+    assert labels is not None
+    mixseq.save(file, replace(coded(), labels=replace(labels, count=labels.count + 1)))
+    with pytest.raises(FormatError, match=r"^damaged\.h5: the labels of the mesh are damaged"):
+        _ = mixseq.load(file).parts
 
 
 def test_sizes_include_the_labels() -> None:

@@ -14,7 +14,7 @@ import pytest
 import mixseq
 from mixseq.errors import FormatError
 from mixseq_io import isolation
-from mixseq_io.hdf5.contents import read_attributes, read_contents
+from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents
 from tests.formats.models.model_cases import GOLDEN
 
 pytestmark = pytest.mark.slow
@@ -45,9 +45,9 @@ def test_a_pipe_is_not_opened(tmp_path: Path) -> None:
 
 def test_the_same_without_a_worker(monkeypatch: pytest.MonkeyPatch) -> None:
     path = GOLDEN / "model-v1.h5"
-    there = read_contents(path)
+    there = read_contents(path, MODEL_FORMAT)
     monkeypatch.setattr(isolation, "can_isolate", lambda: False)
-    here = read_contents(path)
+    here = read_contents(path, MODEL_FORMAT)
     assert there.attributes == here.attributes
     assert there.attributes["space"]["scale"] > 1.0
     assert {name: array.tolist() for name, array in there.arrays.items()} == {

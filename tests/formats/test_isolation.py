@@ -209,12 +209,14 @@ def test_meanwhile_this_process_does_something_else(tmp_path: Path) -> None:
     path = tmp_path / "walk.h5"
     mixseq.save(path, mixseq.fit(coarse_walk(frames=2), space="vertex"))
     done: list[str] = []
-    found = read_contents(path, meanwhile=lambda: done.append("imports"))
+    found = read_contents(path, MODEL_FORMAT, meanwhile=lambda: done.append("imports"))
     assert (done, found.kind) == (["imports"], MODEL_FORMAT)
 
     def fail() -> NoReturn:
         raise ImportError("nothing of that name")
 
     with pytest.raises(ImportError, match="nothing of that name"):
-        read_contents(path, meanwhile=fail)
-    assert read_contents(path).attrs["vertex_count"] == found.attrs["vertex_count"]  # not the other's answer
+        read_contents(path, MODEL_FORMAT, meanwhile=fail)
+    assert (
+        read_contents(path, MODEL_FORMAT).attrs["vertex_count"] == found.attrs["vertex_count"]
+    )  # not the other's answer

@@ -133,13 +133,6 @@ def test_maps_of_triangles(tmp_path: Path, name: str) -> None:
     assert loaded(file).faces.tolist() == [5, 6, 7, 8]
 
 
-def test_the_kind_may_be_said(tmp_path: Path) -> None:
-    file = tmp_path / "column.txt"
-    file.write_text("5\n6\n7\n8\n")
-    assert to_correspondence(read_map(file, "triangles"), SOURCE, TARGET).faces.tolist() == [5, 6, 7, 8]
-    assert read_map(file).kind == "vertices"
-
-
 BARYCENTRIC = {
     "rows.txt": "4 0.5 0.25 0.25\n5 1 0 0\n6 0 1 0\n-1 0 0 0\n",
     "targets.txt": "# barycentric\n5, 1, 1, 0, 0\n4, 0, 0.5, 0.25, 0.25\n6, 2, 0, 1, 0\n",

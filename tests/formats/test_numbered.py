@@ -8,14 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixseq.errors import (
-    AmbiguousError,
-    FormatError,
-    InvalidSequenceError,
-    MixseqWarning,
-    OutputError,
-    SettingsError,
-)
+from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, MixseqWarning, OutputError, SettingsError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
 from mixseq_io.numbered.files import (

@@ -9,14 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixseq.errors import (
-    AmbiguousError,
-    FormatError,
-    InvalidSequenceError,
-    MixseqWarning,
-    OutputError,
-    SettingsError,
-)
+from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, MixseqWarning, OutputError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.sequence import MeshSequence

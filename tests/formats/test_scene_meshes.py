@@ -18,8 +18,8 @@ from mixseq_io.scene_meshes import (
     common_name,
     format_names,
     join_meshes,
+    read_valid_meshes,
     select_meshes,
-    select_moving_meshes,
     split_meshes,
 )
 from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
@@ -197,11 +197,15 @@ def test_what_cannot_be_meant() -> None:
             select_meshes(FILE, MESHES, prim)
 
 
+def moving(is_moving: list[bool]) -> list[int]:
+    return read_valid_meshes(FILE, MESHES[: len(is_moving)], is_moving, lambda _: lambda index: index)
+
+
 def test_what_moves() -> None:
     with pytest.warns(MixseqWarning, match=r"prim='/' \(--prim / .*\) takes them, too: '/house', '/copy/hat'"):
-        assert select_moving_meshes(FILE, MESHES[:4], [True, True, False, False]) == [0, 1]
-    assert select_moving_meshes(FILE, MESHES[:2], [False, False]) == [0, 1]
-    assert select_moving_meshes(FILE, MESHES[:2], [True, True]) == [0, 1]
+        assert moving([True, True, False, False]) == [0, 1]
+    assert moving([False, False]) == [0, 1]
+    assert moving([True, True]) == [0, 1]
 
 
 @pytest.mark.parametrize(

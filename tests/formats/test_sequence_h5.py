@@ -153,7 +153,7 @@ def test_a_model_is_sampled(path: Path, plain: MeshSequence, monkeypatch: pytest
     with h5py.File(path, "w") as file:
         file.attrs["format"] = np.bytes_("mixseq-model")
     model = SimpleNamespace(header=plain.header, frames=LazyFrames(plain.header, plain.blocks))
-    monkeypatch.setattr("mixseq_io.loading.load", lambda path: model)
+    monkeypatch.setattr("mixseq_io.model_files.load", lambda path: model)
     np.testing.assert_array_equal(read(path).points, plain.points)
 
 

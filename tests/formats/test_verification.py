@@ -15,7 +15,7 @@ import mixseq
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.sequence.sequence import MeshSequence
-from mixseq_io.verification import compressed_sizes, read_compressed
+from mixseq_io.model_files import compressed_sizes, read_compressed
 
 pytestmark = pytest.mark.slow
 

@@ -16,7 +16,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError
@@ -24,13 +23,7 @@ from mixseq.mesh.measures import bounding_box, corner_normals
 from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
-from mixseq_io.alembic.reader import (
-    OVERLAY_KEY,
-    Mesh,
-    MeshSource,
-    find_meshes,
-    stored_polygons,
-)
+from mixseq_io.alembic.reader import OVERLAY_KEY, Mesh, find_meshes, stored_polygons
 from mixseq_io.alembic.samples import (
     LIBRARY_ERRORS,
     Abc,
@@ -39,7 +32,6 @@ from mixseq_io.alembic.samples import (
     MeshTransform,
     create_array,
     create_time_sampling,
-    determinant,
     imath,
     open_archive,
     read_imath_sample,
@@ -49,9 +41,8 @@ from mixseq_io.alembic.samples import (
     select_samples,
     transform_points,
 )
-from mixseq_io.originals import match_meshes, warn_of_unretimed_motion
 from mixseq_io.reader import prefix_errors, translate_read_errors, warn
-from mixseq_io.scene_meshes import SceneMesh, format_names
+from mixseq_io.scene_meshes import SceneMesh, format_names, match_meshes, warn_of_unretimed_motion
 from mixseq_io.surfaces import RoundingMonitor
 
 CORNER_SCOPE = AbcGeom.GeometryScope.kFacevaryingScope
@@ -192,16 +183,12 @@ def _with_ancestors(paths: Collection[str]) -> set[str]:
 
 @dataclass(frozen=True, eq=False)
 class MeshMatch:
-    """Mesh of the sequence, and the matching mesh of the archive, which gets its points.
-
-    `corners` ``(C,)`` index the sequence's corner of each stored corner; `transform` maps mesh space to the world.
-    """
+    """Mesh of the sequence, and the matching mesh of the archive, which gets its points."""
 
     scene_mesh: SceneMesh
     mesh: Mesh
-    corners: Index
+    corners: Index  # (C,) the sequence's corner of each stored corner
     transform: MeshTransform
-    is_mirrored: bool
 
     def replace_points(self, schema: Any, sampling: int, has_velocities: bool) -> WriteSamples:
         """Create the properties that depend on points in a copied schema; return the writer of their samples."""
@@ -230,7 +217,7 @@ class MeshMatch:
                     own_velocities.setValue(array)
                 if normals is not None:
                     unit = corner_normals(own[None], mesh.polygons, mesh.normal_groups)[0]
-                    array = create_array(imath.V3fArray, -unit if self.is_mirrored else unit)
+                    array = create_array(imath.V3fArray, -unit if self.transform.is_mirrored else unit)
                     normals.set(AbcGeom.ON3fGeomParamSample(array, normal_ids, CORNER_SCOPE))
 
         return write
@@ -254,8 +241,8 @@ def match_archive(path: Path, header: SequenceHeader) -> Original:
             path,
             header,
             {mesh.path: mesh for mesh in meshes},
-            partial(_match, path, header),
-            partial(_describe_difference, path, header),
+            partial(_match, header),
+            partial(_describe_difference, header),
         )
         for match in matches:
             try:
@@ -265,29 +252,22 @@ def match_archive(path: Path, header: SequenceHeader) -> Original:
         return Original(path, archive, tuple(matches))
 
 
-def _match(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> MeshMatch | None:
+def _match(header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> MeshMatch | None:
     """Match a mesh of the sequence with a mesh of the archive; return None if vertices or faces differ."""
     if sample_length(mesh.schema.getPositionsProperty(), 0) != scene_mesh.vertex_count:
         return None
-    transform, source = _read_source(path, header, scene_mesh, mesh)
-    found = scene_mesh.match(*stored_polygons(source))
-    return found and MeshMatch(found[0], mesh, found[1].corners, transform, source.is_mirrored)
-
-
-def _read_source(
-    path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh
-) -> tuple[MeshTransform, MeshSource]:
     transform = MeshTransform.from_schemas(mesh.transforms, header.times, header.fps)
-    is_mirrored, vertices = determinant(transform.matrices[0]) < 0, slice(0, scene_mesh.vertex_count)
-    return transform, MeshSource(path, path.stat().st_size, mesh, vertices, is_mirrored, np.zeros(1))
+    found = scene_mesh.match(*stored_polygons(mesh, transform.is_mirrored, header.times))
+    return found and MeshMatch(found[0], mesh, found[1].corners, transform)
 
 
-def _describe_difference(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> str:
+def _describe_difference(header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> str:
     """Describe the first difference between a mesh of the sequence and the only candidate mesh in the archive."""
     count = sample_length(mesh.schema.getPositionsProperty(), 0)
     if count != scene_mesh.vertex_count:
         return f"{mesh.path} has {count} vertices, the sequence {scene_mesh.vertex_count}"
-    stored, order = stored_polygons(_read_source(path, header, scene_mesh, mesh)[1])
+    transform = MeshTransform.from_schemas(mesh.transforms, header.times, header.fps)
+    stored, order = stored_polygons(mesh, transform.is_mirrored, header.times)
     polygons = Polygons(stored.counts, stored.indices[order])
     return describe_difference(scene_mesh.polygons, polygons, ("the sequence", mesh.path))
 
@@ -321,11 +301,7 @@ def copy_archive(
     has_velocities: bool,
     sources: ArrayLike | None = None,
 ) -> list[WriteSamples]:
-    """Copy an archive into the empty archive `copy`, and return writers of the meshes that get new points.
-
-    `sampling` is the index of the frames' time sampling, `sources` ``(T,)`` are the archive's times in s at the
-    frames, and `path` is the file name in warnings.
-    """
+    """Copy an archive into the empty one `copy`; return writers of the meshes that get new points."""
     paths = {match.mesh.path for match in original.matches}
     copier = _Copier(copy, paths, header.times, original.path.stat().st_size)
     copier.copy_objects(original.archive.getTop())

@@ -73,17 +73,16 @@ OVERLAY_KEY = "mixseq_laid_over"
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Unread mesh in an archive, with the schemas of its points and of the transforms above, the nearest first.
+    """Unread mesh in an archive, with the schemas of its points and of the transforms above, the nearest first."""
 
-    `is_hidden` and `has_animated_visibility` also apply if an ancestor of the mesh is hidden or changes visibility.
-    """
-
+    file: Path
+    file_size: int  # in bytes
     node: Any
     scene_object: SceneObject
     schema: Any
     transforms: tuple[Any, ...]
-    is_hidden: bool
-    has_animated_visibility: bool
+    is_hidden: bool  # as the mesh or an ancestor is
+    has_animated_visibility: bool  # of the mesh or an ancestor
 
     @property
     def path(self) -> str:
@@ -134,7 +133,7 @@ def find_meshes(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
     others: Counter[str] = Counter()
     stack: list[tuple[Any, SceneObject, tuple[Any, ...], bool, bool, int]] = []
     stack.append((archive.getTop(), SceneObject("/", ()), (), False, False, 0))
-    count = 0
+    count, file_size = 0, path.stat().st_size
     while stack:
         node, scene_object, transforms, is_hidden, has_animated_visibility, depth = stack.pop()
         count += 1
@@ -153,7 +152,8 @@ def find_meshes(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
             try:
                 schema = kind(node, existing).getSchema()
                 if schema.getPositionsProperty().getNumSamples():
-                    meshes.append(Mesh(node, scene_object, schema, transforms, is_hidden, has_animated_visibility))
+                    visibility = is_hidden, has_animated_visibility
+                    meshes.append(Mesh(path, file_size, node, scene_object, schema, transforms, *visibility))
             except LIBRARY_ERRORS:
                 warn(f"{path}: {scene_object.path} lacks properties of a mesh; it is damaged, and is left out")
         elif AbcGeom.IXform.matches(metadata):
@@ -173,69 +173,48 @@ _COLOUR_TYPES = (AbcGeom.IC3fGeomParam, AbcGeom.IC4fGeomParam)
 _SCHEME_NAMES = {"catmull-clark": "catmullClark", "": "catmullClark", "loop": "loop", "bilinear": "bilinear"}
 
 
-@dataclass(frozen=True, eq=False)
-class MeshSource:
-    """Mesh with the slice of its vertices in the sequence; `is_mirrored` refers to transforms in the first frame.
-
-    The file's path and size in bytes, and frame times ``(T,)`` in s, are used in checks and messages.
-    """
-
-    path: Path
-    file_size: int
-    mesh: Mesh
-    vertices: slice
-    is_mirrored: bool
-    times: Float
-
-    @property
-    def vertex_count(self) -> int:
-        """Number V of vertices."""
-        return int(self.vertices.stop - self.vertices.start)
-
-
-def read_scene_mesh(source: MeshSource) -> SceneMesh:
+def _read_scene_mesh(animated: _AnimatedMesh) -> SceneMesh:
     """Return a mesh whose polygons are counter-clockwise, seen from outside."""
-    schema, mesh = source.mesh.schema, source.mesh
-    stored, order = stored_polygons(source)
+    mesh = animated.mesh
+    stored, order = stored_polygons(mesh, animated.is_mirrored, animated.times)
     polygons = Polygons(stored.counts, stored.indices[order])
-    uvs, colours, hard_edges = _read_uvs(source, stored), _read_colours(source, stored), None
+    uvs, colours, hard_edges = _read_uvs(mesh, stored), _read_colours(mesh, stored), None
     if not mesh.is_subdivided:
-        normals = _read_corner_values(source, schema.getNormalsParam(), stored, "normals")
+        normals = _read_corner_values(mesh, mesh.schema.getNormalsParam(), stored, "normals")
         if normals is not None and normals.values.shape[1] == 3:
             hard_edges = hard_edges_from_normals(polygons, normals.at_corners[order])
     return SceneMesh(
         name=mesh.scene_object.name,
         path=mesh.path,
-        vertices=source.vertices,
+        vertices=animated.vertices,
         polygons=polygons,
         uvs=uvs and uvs.select(order),
         colours=colours and colours.select(order),
         hard_edges=hard_edges,
-        face_sets=_read_face_sets(source, len(stored.counts)),
-        subdivision=_read_scheme(source) if mesh.is_subdivided else "none",
+        face_sets=_read_face_sets(mesh, len(stored.counts)),
+        subdivision=_read_scheme(mesh) if mesh.is_subdivided else "none",
     )
 
 
-def stored_polygons(source: MeshSource) -> tuple[Polygons, Index]:
-    """Return the polygons as stored, and the index of the stored corner for each corner in mixseq's order."""
-    schema = source.mesh.schema
-    counts = _read_constant(source, schema.getFaceCountsProperty())
-    stored = Polygons(counts, _read_constant(source, schema.getFaceIndicesProperty()))
-    if source.is_mirrored:
+def stored_polygons(mesh: Mesh, is_mirrored: bool, times: Float) -> tuple[Polygons, Index]:
+    """Return the polygons as stored, and the stored corner of each corner in mixseq's order."""
+    properties = mesh.schema.getFaceCountsProperty(), mesh.schema.getFaceIndicesProperty()
+    stored = Polygons(*(_read_constant(mesh, array, times) for array in properties))
+    if is_mirrored:
         return stored, np.arange(stored.indices.size)
     return stored, reversed_winding(stored.counts, keep_first=False)
 
 
-def _read_constant(source: MeshSource, array: Any) -> NDArray[np.int32]:
+def _read_constant(mesh: Mesh, array: Any, times: Float) -> NDArray[np.int32]:
     """Return an array property's constant value; raise an error if its samples differ."""
     time = _find_change(array)
     if time is not None:
-        index = int(np.searchsorted(source.times, time))
+        index = int(np.searchsorted(times, time))
         raise InvalidSequenceError(
-            f"the faces of {source.mesh.path} change at {time:g} s (index {index}); every frame needs the same "
+            f"the faces of {mesh.path} change at {time:g} s (index {index}); every frame needs the same "
             "faces: export without remeshing, or the part of the time line before it"
         )
-    return read_sample(array, 0, source.file_size)
+    return read_sample(array, 0, mesh.file_size)
 
 
 def _find_change(array: Any) -> float | None:
@@ -247,59 +226,57 @@ def _find_change(array: Any) -> float | None:
     return next((time for sample, time in times if array.getKey(sample_selector(array, sample)) != first), None)
 
 
-def _read_uvs(source: MeshSource, polygons: Polygons) -> CornerValues | None:
-    schema = source.mesh.schema
-    parameters = schema.getArbGeomParams()
+def _read_uvs(mesh: Mesh, polygons: Polygons) -> CornerValues | None:
+    parameters, parameter = mesh.schema.getArbGeomParams(), mesh.schema.getUVsParam()
     headers = parameters.propertyheaders if parameters.valid() else ()
     others = [header.getName() for header in headers if header.isUV()]
-    parameter = schema.getUVsParam()
     if others:
         kept = "the standard ones are kept" if parameter.valid() else "they are left out"
-        warn(f"{source.path}: {source.mesh.path} has more texture coordinates, {', '.join(others)}; {kept}")
-    _warn_if_animated(source, parameter, "texture coordinates")
-    return _read_corner_values(source, parameter, polygons, "texture coordinates")
+        warn(f"{mesh.file}: {mesh.path} has more texture coordinates, {', '.join(others)}; {kept}")
+    _warn_if_animated(mesh, parameter, "texture coordinates")
+    return _read_corner_values(mesh, parameter, polygons, "texture coordinates")
 
 
-def _read_colours(source: MeshSource, polygons: Polygons) -> CornerValues | None:
+def _read_colours(mesh: Mesh, polygons: Polygons) -> CornerValues | None:
     """Return the colour parameter ``Cd``, or else the first colour parameter, as RGBA."""
-    parameters = source.mesh.schema.getArbGeomParams()
+    parameters = mesh.schema.getArbGeomParams()
     headers = parameters.propertyheaders if parameters.valid() else ()
     types = {each.getName(): kind for each in headers for kind in _COLOUR_TYPES if kind.matches(each)}
     if not types:
         return None
     name = COLOUR_PARAMETER if COLOUR_PARAMETER in types else next(iter(types))
     if len(types) > 1:
-        warn(f"{source.path}: {source.mesh.path} has several sets of colours; {name} is kept")
+        warn(f"{mesh.file}: {mesh.path} has several sets of colours; {name} is kept")
     parameter = types[name](parameters, name)
-    _warn_if_animated(source, parameter, "colours")
-    colours = _read_corner_values(source, parameter, polygons, "colours")
+    _warn_if_animated(mesh, parameter, "colours")
+    colours = _read_corner_values(mesh, parameter, polygons, "colours")
     return colours and CornerValues(ensure_alpha(colours.values), colours.indices)
 
 
-def _warn_if_animated(source: MeshSource, parameter: Any, label: str) -> None:
+def _warn_if_animated(mesh: Mesh, parameter: Any, label: str) -> None:
     if not parameter.valid():
         return
     arrays = [parameter.getValueProperty()]
     if parameter.isIndexed():
         arrays.append(parameter.getIndexProperty())
     if any(_find_change(array) is not None for array in arrays):
-        warn(f"{source.path}: {label} of {source.mesh.path} that change over time stay as they are in the first frame")
+        warn(f"{mesh.file}: {label} of {mesh.path} that change over time stay as they are in the first frame")
 
 
-def _read_corner_values(source: MeshSource, parameter: Any, polygons: Polygons, label: str) -> CornerValues | None:
+def _read_corner_values(mesh: Mesh, parameter: Any, polygons: Polygons, label: str) -> CornerValues | None:
     """Return a geometry parameter's first sample, of any scope, as values at corners in stored order."""
     if not parameter.valid() or not parameter.getNumSamples():
         return None
-    values = read_sample(parameter.getValueProperty(), 0, source.file_size)
+    values = read_sample(parameter.getValueProperty(), 0, mesh.file_size)
     indices = np.arange(len(values))
     if parameter.isIndexed():
-        indices = read_sample(parameter.getIndexProperty(), 0, source.file_size)
-    scopes = AbcGeom.GeometryScope
+        indices = read_sample(parameter.getIndexProperty(), 0, mesh.file_size)
+    scopes, vertex_count = AbcGeom.GeometryScope, sample_length(mesh.schema.getPositionsProperty(), 0)
     faces = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
     elements = {
         scopes.kFacevaryingScope: (polygons.indices.size, np.arange(polygons.indices.size)),
-        scopes.kVertexScope: (source.vertex_count, polygons.indices),
-        scopes.kVaryingScope: (source.vertex_count, polygons.indices),
+        scopes.kVertexScope: (vertex_count, polygons.indices),
+        scopes.kVaryingScope: (vertex_count, polygons.indices),
         scopes.kUniformScope: (len(polygons.counts), faces),
         scopes.kConstantScope: (1, np.zeros_like(faces)),
     }
@@ -309,37 +286,33 @@ def _read_corner_values(source: MeshSource, parameter: Any, polygons: Polygons, 
     size, of_corner = declared or next(fitting, (-1, faces))
     is_valid = size == len(indices) and indices.min(initial=0) >= 0 and indices.max(initial=-1) < len(values)
     if not is_valid or of_corner.min(initial=0) < 0 or of_corner.max(initial=-1) >= len(indices):
-        warn(f"{source.path}: the {label} of {source.mesh.path} do not fit its faces; they are left out")
+        warn(f"{mesh.file}: the {label} of {mesh.path} do not fit its faces; they are left out")
         return None
     return CornerValues(values, indices[of_corner])
 
 
-def _read_face_sets(source: MeshSource, polygon_count: int) -> tuple[FaceSet, ...]:
+def _read_face_sets(mesh: Mesh, polygon_count: int) -> tuple[FaceSet, ...]:
     """Return the face sets, preceded by a face set for the material that is assigned to the mesh, if any."""
     face_sets = []
-    for name in source.mesh.schema.getFaceSetNames():
-        node = source.mesh.schema.getFaceSet(name)
+    for name in mesh.schema.getFaceSetNames():
+        node = mesh.schema.getFaceSet(name)
         faces = node.getSchema().getFacesProperty()
         if faces.getNumSamples():
-            polygons = read_sample(faces, 0, source.file_size)
+            polygons = read_sample(faces, 0, mesh.file_size)
             face_sets.append(FaceSet(name, polygons, AbcMaterial.getMaterialAssignmentPath(node)))
-    material = AbcMaterial.getMaterialAssignmentPath(source.mesh.node)
-    if not material:
-        return tuple(face_sets)
-    return (
-        *base_face_set(material, polygon_count, [each for each in face_sets if each.material]),
-        *face_sets,
-    )
+    if material := AbcMaterial.getMaterialAssignmentPath(mesh.node):
+        face_sets[:0] = base_face_set(material, polygon_count, [each for each in face_sets if each.material])
+    return tuple(face_sets)
 
 
-def _read_scheme(source: MeshSource) -> str:
+def _read_scheme(mesh: Mesh) -> str:
     """Return a SubD's subdivision scheme; unknown schemes are read as Catmull-Clark."""
-    scheme = source.mesh.schema.getSubdivisionSchemeProperty()
+    scheme = mesh.schema.getSubdivisionSchemeProperty()
     name = scheme.getValue() if scheme.valid() and scheme.getNumSamples() else ""
     if name in _SCHEME_NAMES.values():
         return str(name)
     if name not in _SCHEME_NAMES:
-        warn(f"{source.path}: {source.mesh.path} is subdivided by {name!r}, which is read as Catmull-Clark")
+        warn(f"{mesh.file}: {mesh.path} is subdivided by {name!r}, which is read as Catmull-Clark")
     return _SCHEME_NAMES.get(name, "catmullClark")
 
 
@@ -361,9 +334,9 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
             vertex_counts = [0]
 
             def read(index: int) -> tuple[_AnimatedMesh, SceneMesh, float]:
-                animated = _locate_frames(path, meshes[index], times, fps, sum(vertex_counts))
-                vertex_counts.append(animated.source.vertex_count)
-                scene_mesh = read_scene_mesh(animated.source)
+                animated = _locate_frames(meshes[index], times, fps, sum(vertex_counts))
+                vertex_counts.append(animated.vertex_count)
+                scene_mesh = _read_scene_mesh(animated)
                 check_finite(_read_world_points(animated, 0), animated.describe_frame(0))
                 return animated, scene_mesh, fps
 
@@ -371,15 +344,15 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
 
         objects = [mesh.scene_object for mesh in meshes]
         animated_meshes, scene_meshes, rates = zip(*read_valid_meshes(path, objects, is_moving, prepare), strict=True)
-        read_meshes = [animated.source.mesh for animated in animated_meshes]
+        read_meshes = [animated.mesh for animated in animated_meshes]
         visible_at_times = [mesh.path for mesh in read_meshes if mesh.has_animated_visibility]
         if visible_at_times:
             warn(f"{path}: {format_names(visible_at_times)} are hidden at times; they are read as visible")
         polygons, surface = join_meshes(scene_meshes, Origin("Alembic", str(path.resolve())))
         header = SequenceHeader(
             polygons=polygons,
-            vertex_count=animated_meshes[-1].source.vertices.stop,
-            times=snap_to_frames(animated_meshes[0].source.times, rates[0]),
+            vertex_count=animated_meshes[-1].vertices.stop,
+            times=snap_to_frames(animated_meshes[0].times, rates[0]),
             fps=rates[0],
             name=common_name([mesh.scene_object for mesh in read_meshes]) or path.stem,
             surface=surface,
@@ -389,16 +362,24 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
 
 @dataclass(frozen=True, eq=False)
 class _AnimatedMesh:
-    """Mesh with samples and transforms at each frame; `overlay_transform` for new points below moving transforms."""
+    """Mesh with its samples and transforms at frame times ``(T,)`` in s."""
 
-    source: MeshSource
+    mesh: Mesh
+    vertices: slice  # in the sequence
+    is_mirrored: bool  # in the first frame
+    times: Float
     samples: LocatedFrames
     transforms: Transforms
-    overlay_transform: MeshTransform | None = None
+    overlay_transform: MeshTransform | None = None  # of new points below moving transforms
+
+    @property
+    def vertex_count(self) -> int:
+        """Number V of vertices."""
+        return int(self.vertices.stop - self.vertices.start)
 
     def describe_frame(self, frame: int) -> str:
         """Return a description of a frame for messages."""
-        return f"the frame at {self.source.times[frame]:g} s (index {frame}) of {self.source.mesh.path}"
+        return f"the frame at {self.times[frame]:g} s (index {frame}) of {self.mesh.path}"
 
 
 class _AlembicReader(SequenceReader):
@@ -421,7 +402,7 @@ class _AlembicReader(SequenceReader):
             with translate_read_errors(self.path, "Alembic", *LIBRARY_ERRORS), prefix_errors(self.path):
                 for frame in range(start, stop):
                     for animated in self._meshes:
-                        block[frame - start, animated.source.vertices] = read_vectors(animated, frame)
+                        block[frame - start, animated.vertices] = read_vectors(animated, frame)
             with np.errstate(
                 over="ignore", under="ignore"
             ):  # values that are not finite are reported with their vertex
@@ -440,30 +421,29 @@ def _choose_times(meshes: list[Mesh]) -> Float:
     return merge_times(map(sample_times, changing or [longest]), TIME_TOLERANCE)
 
 
-def _locate_frames(path: Path, mesh: Mesh, times: Float, fps: float, first_vertex: int) -> _AnimatedMesh:
+def _locate_frames(mesh: Mesh, times: Float, fps: float, first_vertex: int) -> _AnimatedMesh:
     """Locate frame times ``(T,)`` between the samples of a mesh and its transforms."""
     points, transforms = mesh.schema.getPositionsProperty(), Transforms.from_schemas(mesh.transforms, times)
-    file_size, samples = path.stat().st_size, locate_frames(sample_times(points), times)
+    samples = locate_frames(sample_times(points), times)
     count = sample_length(points, samples[0][0])
     if not count:
         raise InvalidSequenceError(f"{mesh.path} has no points")
-    if 12 * count > file_size:
-        raise FormatError(f"{path}: {mesh.path} claims {count} vertices, more than the file can hold")
+    if 12 * count > mesh.file_size:
+        raise FormatError(f"{mesh.file}: {mesh.path} claims {count} vertices, more than the file can hold")
     is_mirrored, vertices = determinant(transforms.to_world(0)) < 0, slice(first_vertex, first_vertex + count)
-    source = MeshSource(path, file_size, mesh, vertices, is_mirrored, times)
     overlay_transform = None
     if mesh.is_overlaid and not mesh.has_static_transforms:
         overlay_transform = MeshTransform.from_schemas(mesh.transforms, times, fps)
-    animated = _AnimatedMesh(source, samples, transforms, overlay_transform)
+    animated = _AnimatedMesh(mesh, vertices, is_mirrored, times, samples, transforms, overlay_transform)
     for frame in range(0 if points.isConstant() else len(times)):
         _check_count(animated, frame, sample_length(points, samples[frame][0]), "points")
     return animated
 
 
 def _check_count(animated: _AnimatedMesh, frame: int, count: int, label: str) -> None:
-    if count != animated.source.vertex_count:
+    if count != animated.vertex_count:
         raise InvalidSequenceError(
-            f"{animated.describe_frame(frame)} has {count} {label}, the first frame {animated.source.vertex_count} "
+            f"{animated.describe_frame(frame)} has {count} {label}, the first frame {animated.vertex_count} "
             "points; every frame needs the same vertices in the same order"
         )
 
@@ -472,8 +452,7 @@ def _interpolate(animated: _AnimatedMesh, array: Any, frame: int, label: str) ->
     """Return the value ``(V, 3)`` of an array property at a frame, interpolated between samples if needed."""
     sample, weight = animated.samples[frame]
     arrays = [
-        read_sample(array, index, animated.source.file_size)
-        for index in ((sample, sample + 1) if weight else (sample,))
+        read_sample(array, index, animated.mesh.file_size) for index in ((sample, sample + 1) if weight else (sample,))
     ]
     for each in arrays:
         _check_count(animated, frame, len(each), label)
@@ -484,9 +463,9 @@ def _interpolate(animated: _AnimatedMesh, array: Any, frame: int, label: str) ->
 
 
 def _read_world_points(animated: _AnimatedMesh, frame: int) -> FloatArray:
-    points = _interpolate(animated, animated.source.mesh.schema.getPositionsProperty(), frame, "points")
+    points = _interpolate(animated, animated.mesh.schema.getPositionsProperty(), frame, "points")
     matrix = animated.transforms.to_world(frame)
-    if determinant(matrix) * (-1 if animated.source.is_mirrored else 1) < 0:
+    if determinant(matrix) * (-1 if animated.is_mirrored else 1) < 0:
         raise InvalidSequenceError(
             f"{animated.describe_frame(frame)}: the transform mirrors the mesh relative to the first frame, which "
             "turns its faces inside out; animate the scale without a change of sign"
@@ -495,29 +474,29 @@ def _read_world_points(animated: _AnimatedMesh, frame: int) -> FloatArray:
 
 
 def _read_world_velocities(animated: _AnimatedMesh, frame: int) -> FloatArray:
-    velocities = animated.source.mesh.schema.getVelocitiesProperty()
+    velocities = animated.mesh.schema.getVelocitiesProperty()
     if not velocities.valid():  # only static meshes may lack velocities
-        return np.zeros((animated.source.vertex_count, 3), np.float32)
+        return np.zeros((animated.vertex_count, 3), np.float32)
     own = _interpolate(animated, velocities, frame, "velocities")
     if animated.overlay_transform is None:
         return transform_points(own, animated.transforms.to_world(frame)[:3, :3])
-    points = _interpolate(animated, animated.source.mesh.schema.getPositionsProperty(), frame, "points")
+    points = _interpolate(animated, animated.mesh.schema.getPositionsProperty(), frame, "points")
     return animated.overlay_transform.to_world_velocities(own, points, frame)
 
 
 def _have_velocities(path: Path, animated_meshes: Sequence[_AnimatedMesh]) -> bool:
     """Whether velocities of all moving meshes can be read; warn if only some can."""
-    properties = [animated.source.mesh.schema.getVelocitiesProperty() for animated in animated_meshes]
+    properties = [animated.mesh.schema.getVelocitiesProperty() for animated in animated_meshes]
     if not any(velocities.valid() for velocities in properties):
         return False
     for animated, velocities in zip(animated_meshes, properties, strict=True):
-        mesh = animated.source.mesh
+        mesh = animated.mesh
         points = mesh.schema.getPositionsProperty()
         if not velocities.valid():
             problem = "are missing, and others have some" if mesh.is_moving else ""
         elif not np.array_equal(sample_times(velocities), sample_times(points)):
             problem = "are not sampled at the times of the points"
-        elif sample_length(velocities, 0) != animated.source.vertex_count:
+        elif sample_length(velocities, 0) != animated.vertex_count:
             problem = f"are {sample_length(velocities, 0)}, not as many as its points"
         elif not (mesh.is_overlaid or mesh.has_static_transforms):
             problem = "do not contain the motion of its transforms"

@@ -1,16 +1,15 @@
 """Access to Alembic's Python binding, and evaluation of properties and transforms at frame times.
 
-Every Alembic property has its sample times in seconds: uniform, cyclic (several samples per shutter), or arbitrary.
-Between two samples of a transform, translation, stretch and rotation angle are interpolated linearly, as in Blender.
-Matrices act on row vectors: p' = p M.
+Every property has its sample times in seconds: uniform, cyclic (several samples per shutter), or arbitrary. Between two
+samples of a transform, translation, stretch and rotation angle are interpolated linearly, as in Blender. Matrices act
+on row vectors: p' = p M.
 
-In a copy of the original, new points are in mesh space. The transforms stay, so that their other children do not move,
-and caches of other programs can refer to the result. With points p in mesh space and the matrix M of a frame, the
-world-space points and velocities are
+In a copy of the original, new points are in mesh space, and the transforms stay: their other children do not move, and
+caches of other programs can refer to the result. Points p in mesh space are in the world, with time derivatives '
 
-    w = p M,    w' = p' M + p M'.
+    w = p M,    w' = p' M + p M',
 
-Here a prime is a time derivative. M' is the central difference over one frame, as during a renderer's open shutter.
+where M' is the central difference over one frame, as during a renderer's open shutter.
 
 Specification: https://docs.alembic.io/python/alembic.html, https://docs.alembic.io/reference/index.html
 """
@@ -239,10 +238,7 @@ def interpolate_matrices(first: Float, second: Float, weight: float) -> Float:
 
 
 def transform_points(points: FloatArray, matrix: Float) -> FloatArray:
-    """Transform points ``(V, 3)`` by a matrix ``(4, 4)``, or vectors ``(V, 3)`` by a linear matrix ``(3, 3)``.
-
-    The result is in double precision unless the matrix is the identity.
-    """
+    """Transform points ``(V, 3)`` by a matrix ``(4, 4)`` or ``(3, 3)``, in doubles unless it is the identity."""
     if np.array_equal(matrix, np.eye(len(matrix))):
         return points
     with np.errstate(all="ignore"):  # the reader reports overflow with its vertex
@@ -277,6 +273,11 @@ class MeshTransform:
         window = float(frames[0]), float(frames[-1])
         now, before, after = (_evaluate_matrices(schemas, frames + shift / fps, window) for shift in (0.0, -0.5, 0.5))
         return cls(now, (after - before) * fps)
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the mesh is mirrored in the first frame."""
+        return determinant(self.matrices[0]) < 0
 
     def check_invertible(self) -> None:
         """Raise an error if a frame's matrix is singular."""

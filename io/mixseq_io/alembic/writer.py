@@ -55,9 +55,8 @@ from mixseq_io.alembic.samples import (
     open_archive,
 )
 from mixseq_io.files import atomic_file
-from mixseq_io.originals import open_original_file
 from mixseq_io.reader import FrameBlock, as_float32, summarize_error, validate_blocks
-from mixseq_io.scene_meshes import SceneMesh, split_meshes
+from mixseq_io.scene_meshes import SceneMesh, open_original_file, split_meshes
 from mixseq_io.surfaces import RoundingMonitor, lost_scale, warn_of_losses
 
 ObjectPath = tuple[str, ...]
@@ -225,17 +224,8 @@ class NewMesh:
         return frame_count * (12 * vector_count + SAMPLE_OVERHEAD_BYTES) + constant
 
 
-def plan_meshes(header: SequenceHeader) -> list[NewMesh]:
-    """Return the meshes of a new archive of a sequence."""
-    scene_meshes = split_meshes(header)
-    return list(map(NewMesh, scene_meshes, choose_paths(header, scene_meshes)))
-
-
 def create_meshes(top: Any, new_meshes: Sequence[NewMesh], sampling: int, origin: Float) -> list[WriteSamples]:
-    """Create meshes below identity transforms, each transform with its first mesh: readers go depth-first.
-
-    Transforms at the top move the meshes to an origin ``(3,)``.
-    """
+    """Create meshes below transforms, depth-first as readers go; those at the top move them to an origin ``(3,)``."""
     objects: dict[ObjectPath, Any] = {(): top}
     writers = []
     for new_mesh in new_meshes:
@@ -264,7 +254,8 @@ def write_alembic(
     """Write an Alembic file; options as in `FORMATS`. `sources` ``(T,)`` are the original's times in s at frames."""
     match = partial(match_archive, header=header)
     original = open_original_file(path, header, flatten, onto, "Alembic", match)
-    new_meshes = [] if original else plan_meshes(header)
+    scene_meshes = [] if original else split_meshes(header)
+    new_meshes = list(map(NewMesh, scene_meshes, choose_paths(header, scene_meshes)))
     has_velocities = velocities is not None
     with atomic_file(path) as temporary:
         _, numbered = validate_blocks(header, blocks, velocities)
@@ -320,10 +311,7 @@ def _write(
 
 
 def _check_disk_space(path: Path, size: int) -> None:
-    """Raise an error if the disk has less free space than `size` in bytes.
-
-    On a full disk, the library would crash the process by a C++ exception in a destructor.
-    """
+    """Raise an error if fewer than `size` bytes are free: on a full disk, the library would crash the process."""
     with path.open("wb") as file:
         if hasattr(os, "posix_fallocate"):  # respects quotas and size limits
             os.posix_fallocate(file.fileno(), 0, size)

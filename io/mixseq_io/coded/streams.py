@@ -1,12 +1,9 @@
 """Read compressed models, which have a text that describes the streams, and one dataset with all streams.
 
-The text is JSON with parameters, source, name, fps, up_axis, metres_per_unit, counts and first time. The order of the
-streams is connectivity, surface, times, texture coordinates and labels if any; every group of the spatial basis;
+The streams are connectivity, surface, times, texture coordinates and labels if any; every group of the spatial basis;
 coefficients, residual layer, and in-betweens if any, of every chunk. The dataset begins with an index of the lengths
-(LEB128) and CRC-32 checksums of all streams. Every further body has a text and a dataset of its own.
-
-Times and surfaces are packed without loss. First differences of numbers are stored by byte: first bytes of all
-numbers, second bytes of all numbers, and so on. Most of these bytes are zero, so zlib compresses them well.
+(LEB128) and CRC-32 checksums of all streams. Every further body has a text and a dataset of its own. First differences
+of numbers are stored by byte: first bytes of all numbers, second bytes, and so on, most of which are zero.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1*``). Specification:
 ``docs/file-format.md``.
@@ -38,7 +35,8 @@ from mixseq.compression.bitstream.compressed_sequence import (
     TemporalInterpolation,
 )
 from mixseq.compression.bitstream.connectivity import decode_polygons
-from mixseq.compression.bitstream.corner_values import decode_hard_edges, decode_uvs, encode_hard_edges
+from mixseq.compression.bitstream.corner_values import decode_uvs
+from mixseq.compression.bitstream.corners import decode_hard_edges, encode_hard_edges
 from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, FaceLabels
 from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
@@ -246,10 +244,7 @@ _HARD_EDGES = "hard_edges"
 
 
 def pack_times(times: Float, fps: float) -> bytes:
-    """Pack the deviations of times ``(T,)`` from ``times[0] + n / fps``; return no bytes if all are zero.
-
-    A deviation is the difference of two float64 bit patterns read as integers, so it is exact.
-    """
+    """Pack deviations of times ``(T,)`` from ``times[0] + n / fps`` as integers of bits; no bytes if all are zero."""
     deviations = _as_integers(times) - _as_integers(_regular_times(float(times[0]), len(times), fps))
     return zlib.compress(_shuffle_bytes(np.diff(deviations, prepend=0)), 9) if deviations.any() else b""
 
@@ -287,7 +282,7 @@ def pack_surface(surface: Surface, mesh: Mesh) -> bytes:
     """Pack a surface; return no bytes if it has no attributes.
 
     The result is a JSON list of the arrays' names, types and shapes (with all texts), a zero byte, and the arrays'
-    bytes, compressed by zlib. If possible, `mixseq.compression.bitstream.corner_values` codes the hard edges. Colours
+    bytes, compressed by zlib. If possible, `mixseq.compression.bitstream.corners` codes the hard edges. Colours
     per vertex are stored in the order of the vertices, without indices.
     """
     descriptions: list[list[Any]] = []

@@ -1,5 +1,5 @@
 """Khronos' glTF 2.0, as text (.gltf) and binary (.glb).
 
 `document` and `codecs` access JSON, buffers and compressed data. `scene`, `primitives`, `animation` and `reader` read;
-`new_document`, `edits`, `writer` and `rigs` write. `mesh_sequence` stores compressed models.
+`buffers`, `new_document`, `writer` and `rigs` write. `mesh_sequence` stores compressed models.
 """

@@ -23,13 +23,7 @@ from mixseq_io.gltf.document import POINTER_EXTENSION, Document, Fields, load_do
 from mixseq_io.gltf.primitives import Weld, count_targets, read_deltas, read_influences
 from mixseq_io.gltf.scene import Pose, Scene
 from mixseq_io.reader import warn
-from mixseq_io.scene_meshes import (
-    MAX_INSERTED_FRAMES,
-    TIME_TOLERANCE,
-    format_names,
-    insert_times,
-    snap_to_frames,
-)
+from mixseq_io.scene_meshes import MAX_INSERTED_FRAMES, TIME_TOLERANCE, format_names, insert_times, snap_to_frames
 
 _MAX_FRAME_COUNT = 1_000_000
 _MIN_GAP_FRAMES = 1.5
@@ -233,10 +227,7 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
 
 
 def animation_choices(path: Path) -> dict[str, str]:
-    """Return a part of file names for every animation of a file, with the choice that selects it.
-
-    The part is empty for an animation that is the only one and has no name.
-    """
+    """Return the choice of every animation by a part of file names, which is empty for a single unnamed one."""
     names = [each.text("name") for each in load_document(path).items("animations")]
     if names == [""]:
         return {"": "0"}
@@ -366,10 +357,7 @@ def _read_channel(document: Document, fields: Fields, node: int, name: str, samp
 
 @dataclass(frozen=True, eq=False)
 class MeshSkin:
-    """Skin with the nodes of J joints, weights ``(W, J)`` with row sums 1, and inverse bind matrices ``(J, 4, 4)``.
-
-    Inverse bind matrices map mesh space to each joint's space in the bind pose.
-    """
+    """Skin of J joint nodes: weights ``(W, J)`` with row sums 1; matrices ``(J, 4, 4)`` from mesh to joint space."""
 
     joints: Sequence[int]
     inverse_binds: Float
@@ -383,10 +371,7 @@ class MeshSkin:
 
 @dataclass(frozen=True, eq=False)
 class MeshNode:
-    """Node with a welded mesh: rest points ``(W, 3)``, static morph weights ``(K,)``, and optionally a skin.
-
-    The transform of a node with a skin has no effect.
-    """
+    """Node with a welded mesh: rest points ``(W, 3)``, morph weights ``(K,)``, and a skin in place of its transform."""
 
     scene: Scene
     node: int
@@ -444,27 +429,9 @@ def _blend_linearly(points: Float, matrices: Float, weights: csr_array) -> Float
     return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], points) + blended[:, :, 3])
 
 
-def find_transform_nodes(document: Document, node: Fields, index: int) -> list[int]:
-    """Return the nodes whose matrices move a node's mesh: the joints of its skin, or the node itself if unskinned."""
-    skin = node.index("skin")
-    if skin is None:
-        return [index]
-    return read_joint_nodes(document, document.item("skins", skin))
-
-
-def read_joint_nodes(document: Document, skin: Fields) -> list[int]:
-    """Return the nodes of a skin's joints."""
-    joints = skin.integers("joints")
-    if not joints:
-        raise skin.error("has no joints; the file is damaged")
-    for joint in joints:
-        document.item("nodes", joint)
-    return joints
-
-
-def read_mesh_node(document: Document, scene: Scene, node: int, weld: Weld) -> MeshNode:
+def read_mesh_node(scene: Scene, node: int, weld: Weld) -> MeshNode:
     """Read a node with a welded mesh."""
-    fields = scene.nodes[node]
+    document, fields = scene.document, scene.nodes[node]
     positions = np.concatenate([each.positions for each in weld.primitives]).astype(np.float64)
     skin = fields.index("skin")
     return MeshNode(
@@ -473,13 +440,13 @@ def read_mesh_node(document: Document, scene: Scene, node: int, weld: Weld) -> M
         weld=weld,
         rest=positions[weld.representatives],
         weights=_read_still_weights(document, fields, count_targets(weld.primitives)),
-        skin=None if skin is None else _read_skin(document, document.item("skins", skin), weld),
+        skin=None if skin is None else _read_skin(scene, document.item("skins", skin), weld),
     )
 
 
-def _read_skin(document: Document, fields: Fields, weld: Weld) -> MeshSkin:
-    nodes = read_joint_nodes(document, fields)
-    inverse_binds = read_inverse_binds(document, fields, len(nodes))
+def _read_skin(scene: Scene, fields: Fields, weld: Weld) -> MeshSkin:
+    nodes = scene.joints(fields)
+    inverse_binds = read_inverse_binds(scene.document, fields, len(nodes))
     joints, weights = read_influences(weld.primitives)
     if not joints.size:
         raise fields.error("moves a mesh that has no JOINTS_0 and WEIGHTS_0; the file is damaged")

@@ -1,223 +1,49 @@
-"""Buffers of glTF files: layout, writing, compression and decompression.
+"""Compression of glTF files, and documents without it and without extensions that move or multiply meshes.
 
-A buffer is laid out first, then written sequentially while frames arrive, without a copy in memory. All sizes and
-offsets are known beforehand, but the bounds of the points are not. Therefore the JSON at the start of a ``.glb`` is
-written last, into reserved space padded with spaces. A ``.gltf`` holds the buffer in base64 as its first member, since
-only a single file can be replaced atomically.
+Compressed views (``EXT_meshopt_compression``, ``KHR_meshopt_compression``) and primitives
+(``KHR_draco_mesh_compression``) get buffers that are unpacked on access, in a separate process, by meshopt and DracoPy
+(extra `gltf`). The uncompressed form of a primitive is preferred.
 
-Compressed files are read as uncompressed documents. Compressed views (``EXT_meshopt_compression``,
-``KHR_meshopt_compression``) and primitives (``KHR_draco_mesh_compression``) get buffers that are unpacked on access, in
-a separate process, by meshopt and DracoPy (extra `gltf`). The uncompressed form of a primitive is preferred.
+Channels of ``KHR_animation_pointer`` to the transform or weights of a node become channels of this node, those to the
+weights of a mesh channels of all nodes that use them; the path of a single weight is "weights/2". Instances of
+``EXT_mesh_gpu_instancing`` become child nodes "instance 0", "instance 1", ... with the mesh.
 
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification,
-https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md,
-https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_draco_mesh_compression/README.md
+Specification: https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0 (``Vendor``, ``Khronos``)
 """
 
 from __future__ import annotations
 
-import json
-import struct
-from base64 import b64encode
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import re
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
-from itertools import chain
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.errors import MissingExtraError, OutputError
-from mixseq.mesh.measures import bounding_box
+from mixseq.errors import FormatError, MissingExtraError, OutputError
 from mixseq.types import Single
-from mixseq.version import __version__
-from mixseq_io.files import atomic_file
-from mixseq_io.gltf.document import DRACO_EXTENSION, MESHOPT_EXTENSIONS, Document, Fields, element_layout
+from mixseq_io.gltf.buffers import Json, align, append
+from mixseq_io.gltf.document import (
+    DRACO_EXTENSION,
+    INSTANCING_EXTENSION,
+    MESHOPT_EXTENSIONS,
+    POINTER_EXTENSION,
+    Document,
+    Fields,
+    element_layout,
+    load_document,
+    remove_extension,
+    undeclare_extensions,
+    used_extensions,
+)
 from mixseq_io.isolation import call_isolated
+from mixseq_io.reader import warn
 from mixseq_io.surfaces import colours_to_bytes
-
-Json = dict[str, Any]
-Bounds = tuple[list[float], list[float]]
-Chunk = bytes | memoryview | NDArray[Any]
-
-GENERATOR_NAME = f"mixseq {__version__}"
-FLOAT_COMPONENT, UNSIGNED_COMPONENT = 5126, 5125
-COMPONENT_TYPES = {"f4": FLOAT_COMPONENT, "u4": UNSIGNED_COMPONENT, "u2": 5123, "u1": 5121}
-ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
-
-_MAX_GLB_BYTES = 2**32 - 1
-_MAX_TEXT_BUFFER_BYTES = 384 << 20  # 512 MiB in base64, the longest string of browsers
-_ALIGNMENT_BYTES = 4
-_GLB_OVERHEAD_BYTES = 28
-_PLACEHOLDER_BOUNDS: Bounds = (
-    [-1.2345678901234567e-100] * 3,
-    [-1.2345678901234567e-100] * 3,
-)  # no float32 has a longer text
-
-
-class Layout:
-    """Document with a buffer whose views are appended one after the other."""
-
-    def __init__(self, document: Json) -> None:
-        self.document = document
-        self.length = 0
-        self.contents: list[tuple[int, Iterable[Chunk]]] = []
-
-    def reserve(self, length: int, **properties: Any) -> int:
-        """Add a view whose data are written later; return its index."""
-        start = _align(self.length)
-        self.length = start + length
-        view = {"buffer": 0, "byteOffset": start, "byteLength": length, **properties}
-        return append(self.document, "bufferViews", view)
-
-    def add(self, data: Iterable[Chunk], length: int, **properties: Any) -> int:
-        """Add a view of given data; return its index."""
-        view = self.reserve(length, **properties)
-        self.contents.append((self.document["bufferViews"][view]["byteOffset"], data))
-        return view
-
-    def add_array(self, values: NDArray[Any], **properties: int) -> int:
-        """Add an array ``(n,)`` or ``(n, k)`` in a separate view; return its accessor's index."""
-        data = np.ascontiguousarray(values)
-        view = self.add([data], data.nbytes, **properties)
-        width = 1 if data.ndim == 1 else data.shape[1]
-        kind = {1: "SCALAR", 16: "MAT4"}.get(width, f"VEC{width}")
-        return self.accessor(view, len(data), kind, component=COMPONENT_TYPES[data.dtype.str[1:]])
-
-    def add_points(self, points: Single) -> int:
-        """Add vertex positions ``(n, 3)`` with their bounds; return their accessor's index."""
-        accessor = self.add_array(points, target=ARRAY_BUFFER)
-        self.set_bounds(accessor, compute_bounds(points))
-        return accessor
-
-    def accessor(self, view: int, count: int, kind: str, offset: int = 0, component: int = FLOAT_COMPONENT) -> int:
-        """Add an accessor at an offset in bytes within a view; return its index."""
-        position = {"bufferView": view, "byteOffset": offset}
-        contents = {"componentType": component, "count": count, "type": kind}
-        return append(self.document, "accessors", position | contents)
-
-    def set_bounds(self, accessor: int, bounds: Bounds = _PLACEHOLDER_BOUNDS) -> Json:
-        """Set the bounds of an accessor, or reserve space for the bounds; return the accessor's JSON entry."""
-        entry: Json = self.document["accessors"][accessor]
-        entry["min"], entry["max"] = bounds
-        return entry
-
-
-def compute_bounds(points: Single) -> Bounds:
-    """Return the minimum and maximum of points ``(n, 3)``."""
-    low, high = bounding_box(points)
-    return low.tolist(), high.tolist()
-
-
-def append(document: Json, member: str, entry: Json) -> int:
-    """Append an entry to a list of a document; return the entry's index."""
-    entries = document.setdefault(member, [])
-    entries.append(entry)
-    return len(entries) - 1
-
-
-def add_channels(
-    animation: Json, times: int, values: int, nodes: Iterable[int], path: str, interpolation: str = "LINEAR"
-) -> None:
-    """Add a sampler of the accessors of times and values to an animation, and a channel for every node."""
-    sampler = append(animation, "samplers", {"input": times, "output": values, "interpolation": interpolation})
-    for node in nodes:
-        append(animation, "channels", {"sampler": sampler, "target": {"node": node, "path": path}})
-
-
-def compute_glb_size(layout: Layout) -> int:
-    """Return the size in bytes of the .glb that is written of a layout."""
-    document = layout.document | {"buffers": [{"byteLength": layout.length}]}
-    return _GLB_OVERHEAD_BYTES + _align(len(_encode(document))) + _align(layout.length)
-
-
-class BufferWriter:
-    """Sequential writer of a buffer; gaps between views are filled with zeros."""
-
-    def __init__(self, write: Callable[[bytes], object]) -> None:
-        self._write = write
-        self.position = 0
-
-    def put(self, offset: int, data: Iterable[Chunk]) -> None:
-        """Write the chunks of a view that begins at `offset`."""
-        for chunk in chain([bytes(offset - self.position)], data):
-            content = chunk.tobytes() if isinstance(chunk, np.ndarray) else bytes(chunk)
-            self._write(content)
-            self.position += len(content)
-
-
-@contextmanager
-def open_buffer_writer(
-    path: Path, layout: Layout, check: Callable[[Path], object] | None = None
-) -> Iterator[BufferWriter]:
-    """Write the data of a layout; on exit from the context, complete the file; `check` is that of `atomic_file`."""
-    is_binary = path.suffix.lower() == ".glb"
-    layout.document["buffers"] = [{"byteLength": layout.length}]
-    _check_size(path, layout, is_binary)
-    write = _write_glb if is_binary else _write_text
-    with atomic_file(path, check) as temporary, temporary.open("wb") as file, write(file, layout) as writer:
-        for offset, data in layout.contents:
-            writer.put(offset, data)
-        yield writer
-        writer.put(layout.length, [])
-
-
-@contextmanager
-def _write_glb(file: IO[bytes], layout: Layout) -> Iterator[BufferWriter]:
-    json_length, length = _align(len(_encode(layout.document))), _align(layout.length)
-    file.write(bytes(12 + 8 + json_length))
-    file.write(struct.pack("<I4s", length, b"BIN\0"))
-    writer = BufferWriter(file.write)
-    yield writer
-    writer.put(length, [])
-    file.seek(0)
-    file.write(struct.pack("<4sII", b"glTF", 2, _GLB_OVERHEAD_BYTES + json_length + length))
-    file.write(struct.pack("<I4s", json_length, b"JSON"))
-    file.write(_encode(layout.document).ljust(json_length))
-
-
-@contextmanager
-def _write_text(file: IO[bytes], layout: Layout) -> Iterator[BufferWriter]:
-    pending = b""
-
-    def write(data: bytes) -> None:
-        """Write data as base64, four letters per complete group of three bytes."""
-        nonlocal pending
-        data = pending + data
-        end = len(data) // 3 * 3
-        file.write(b64encode(data[:end]))
-        pending = data[end:]
-
-    start = f'{{"buffers":[{{"byteLength":{layout.length},"uri":"data:application/octet-stream;base64,'
-    file.write(start.encode())
-    yield BufferWriter(write)
-    file.write(b64encode(pending) + b'"}],')
-    members = {name: value for name, value in layout.document.items() if name != "buffers"}
-    file.write(_encode(members)[1:])
-
-
-def _check_size(path: Path, layout: Layout, is_binary: bool) -> None:
-    if not is_binary and layout.length > _MAX_TEXT_BUFFER_BYTES:
-        raise OutputError(f"{path}: {layout.length / 1e9:.2f} GB of points are too many for a text file; write .glb")
-    if is_binary and layout.length + len(_encode(layout.document)) + 64 > _MAX_GLB_BYTES:
-        raise OutputError(
-            f"{path}: the points take {layout.length / 1e9:.2f} GB, but a GLB file cannot exceed 4.29 GB; "
-            "write fewer frames, or USD, .npz or .h5"
-        )
-
-
-def _encode(document: Json) -> bytes:
-    text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return text.encode("utf-8", errors="replace")
-
-
-def _align(length: int) -> int:
-    return -(-length // _ALIGNMENT_BYTES) * _ALIGNMENT_BYTES
 
 
 def _unpack_view(document: Document, packed: Fields) -> bytes:
@@ -351,37 +177,22 @@ def compress_triangles(
 
 def decompress_document(document: Document) -> Document:
     """Return an uncompressed form of a document, whose compressed data are unpacked on access."""
-    compressions = (DRACO_EXTENSION, *MESHOPT_EXTENSIONS)
-    views = [
-        (index, view, view.object("extensions").object(name))
-        for index, view in enumerate(document.items("bufferViews"))
-        for name in [each for each in MESHOPT_EXTENSIONS if each in view.object("extensions")][:1]
-    ]
-    primitives = [
-        (mesh_index, index, primitive)
-        for mesh_index, mesh in enumerate(document.items("meshes"))
-        for index, primitive in enumerate(mesh.objects("primitives"))
-        if DRACO_EXTENSION in primitive.object("extensions")
-    ]
-    declared = {member: document.top.texts(member) for member in ("extensionsUsed", "extensionsRequired")}
-    if not (views or primitives or any(name in names for names in declared.values() for name in compressions)):
+    compressions = {DRACO_EXTENSION, *MESHOPT_EXTENSIONS}
+    if not compressions & used_extensions(document):
         return document
     edited = replace(document, json=deepcopy(document.json), unpackers={})
-    for member, names in declared.items():
-        edited.json.pop(member, None)
-        others = [name for name in names if name not in compressions]
-        if others:
-            edited.json[member] = others
+    undeclare_extensions(edited.json, compressions)
     for buffer in edited.json.get("buffers", ()):
         buffer.pop("extensions", None)
-    for index, view, packed in views:
-        _replace_view(document, edited, index, view, packed)
-    for mesh_index, index, primitive in primitives:
-        _replace_primitive(document, edited, primitive)
-        entry = edited.json["meshes"][mesh_index]["primitives"][index]
-        del entry["extensions"][DRACO_EXTENSION]
-        if not entry["extensions"]:
-            del entry["extensions"]
+    for index, view in enumerate(document.items("bufferViews")):
+        extensions = view.object("extensions")
+        for name in [each for each in MESHOPT_EXTENSIONS if each in extensions][:1]:
+            _replace_view(document, edited, index, view, extensions.object(name))
+    for mesh_index, mesh in enumerate(document.items("meshes")):
+        for index, primitive in enumerate(mesh.objects("primitives")):
+            if DRACO_EXTENSION in primitive.object("extensions"):
+                _replace_primitive(document, edited, primitive)
+                remove_extension(edited.json["meshes"][mesh_index]["primitives"][index], DRACO_EXTENSION)
     return edited
 
 
@@ -412,7 +223,7 @@ def _replace_primitive(document: Document, edited: Document, primitive: Fields) 
     for accessor, unique_id in unique_ids.items():
         fields = document.item("accessors", accessor)
         layouts.append(_AccessorLayout(unique_id, *element_layout(fields), fields.integer("count")))
-    sizes = [_align(layout.size) for layout in layouts]
+    sizes = [align(layout.size) for layout in layouts]
     document.check_effort(sum(sizes) // 2, packed.place)
     buffer, start = append(edited.json, "buffers", {"byteLength": sum(sizes)}), 0
     edited.unpackers[buffer] = partial(_unpack_primitive, document, packed, layouts, sizes)
@@ -422,3 +233,87 @@ def _replace_primitive(document: Document, edited: Document, primitive: Fields) 
             view = {"buffer": buffer, "byteOffset": start, "byteLength": layout.size}
             entry.update(bufferView=append(edited.json, "bufferViews", view), byteOffset=0)
         start += size
+
+
+_WEIGHTS_PATTERN = r"weights(?:/\d{1,9})?"
+_POINTER_PATTERN = re.compile(
+    rf"/nodes/(\d{{1,9}})/(translation|rotation|scale|{_WEIGHTS_PATTERN})|/meshes/(\d{{1,9}})/({_WEIGHTS_PATTERN})"
+)
+_INSTANCE_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}  # numbers of an instance by attribute
+
+
+def load_plain_document(path: Path) -> Document:
+    """Read a .gltf or .glb file, without compression, pointers of animations to nodes, and instances."""
+    document, extensions = decompress_document(load_document(path)), {POINTER_EXTENSION, INSTANCING_EXTENSION}
+    if not extensions & used_extensions(document):
+        return document
+    plain = replace(document, json=deepcopy(document.json))
+    instances = {}
+    for index in _instanced_nodes(document):
+        try:
+            instances[index] = _add_instances(document, plain.json, index)
+        except FormatError as error:
+            warn(f"{error}; its instances are left out")
+    for animation, entry in zip(document.items("animations"), plain.json.get("animations", ()), strict=True):
+        entry["channels"] = [
+            {**channel.values, "target": target}
+            for channel in animation.objects("channels")
+            for target in _resolve(document, channel.object("target"), instances)
+        ]
+    undeclare_extensions(plain.json, extensions)
+    return plain
+
+
+def _resolve(document: Document, target: Fields, instances: Mapping[int, Sequence[int]]) -> list[Json]:
+    """Return the targets of a channel at nodes and at instances; the target itself if it points elsewhere."""
+    node, name, nodes = target.index("node"), target.text("path"), list[int]()
+    pointer = target.object("extensions").object(POINTER_EXTENSION).text("pointer")
+    found = _POINTER_PATTERN.fullmatch(pointer) if name == "pointer" else None
+    if found and found[3]:
+        name, users = found[4], enumerate(document.items("nodes"))
+        nodes = [index for index, user in users if user.index("mesh") == int(found[3]) and "weights" not in user]
+    elif found and int(found[1]) < len(document.items("nodes")):
+        name, nodes = found[2], [int(found[1])]
+    elif node is not None:
+        nodes = [node]
+    if not nodes:
+        return [dict(target.values)]
+    if name.startswith("weights"):
+        nodes = [each for index in nodes for each in instances.get(index, [index])]
+    return [{"node": each, "path": name} for each in nodes]
+
+
+def _instanced_nodes(document: Document) -> list[int]:
+    """Return the nodes whose meshes have instances; warn of skinned ones, whose joints move a single mesh."""
+    nodes = document.items("nodes")
+    found = [index for index, node in enumerate(nodes) if INSTANCING_EXTENSION in node.object("extensions")]
+    for index in found:
+        if "skin" in nodes[index]:
+            warn(f"{document.path}: nodes[{index}] has a skin; its instances ({INSTANCING_EXTENSION}) are left out")
+    return [index for index in found if "mesh" in nodes[index] and "skin" not in nodes[index]]
+
+
+def _add_instances(document: Document, plain: Json, index: int) -> list[int]:
+    """Move the mesh of a node of a plain document to a child node for each of its instances; return these."""
+    node = document.items("nodes")[index]
+    extension = node.object("extensions").object(INSTANCING_EXTENSION)
+    attributes = extension.object("attributes")
+    stored = [name for name in _INSTANCE_WIDTHS if name.upper() in attributes]
+    values = {name: document.accessor(attributes.integer(name.upper())) for name in stored}
+    accessors = (document.item("accessors", attributes.integer(name)) for name in attributes.values)
+    counts = {accessor.integer("count") for accessor in accessors}
+    if len(counts) != 1 or any(each.shape[1:] != (_INSTANCE_WIDTHS[name],) for name, each in values.items()):
+        raise extension.error("has attributes of different counts or types; the file is damaged")
+    (count,) = counts
+    document.check_effort(16 * (len(plain["nodes"]) + count), "instances of all meshes together")
+    entry = plain["nodes"][index]
+    shared = {key: entry.pop(key) for key in ("mesh", "weights") if key in entry}
+    remove_extension(entry, INSTANCING_EXTENSION)
+    transforms = ({name: values[name][k].tolist() for name in stored} for k in range(count))
+    children = [
+        append(plain, "nodes", {"name": f"instance {k}", **shared, **transform})
+        for k, transform in enumerate(transforms)
+    ]
+    if children or "children" in entry:
+        entry["children"] = children + entry.get("children", [])
+    return children

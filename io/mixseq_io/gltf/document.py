@@ -15,7 +15,7 @@ import json
 import os
 import re
 import struct
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
@@ -58,6 +58,7 @@ _SUPPORTED_EXTENSIONS = (
     "KHR_node_hoverability",
 )
 
+_DECLARATIONS = ("extensionsUsed", "extensionsRequired")
 _EXACT_INTEGER_END = 2**53  # all JSON readers represent smaller integers exactly
 _MAX_JSON_NUMBER = 1e300
 
@@ -100,13 +101,13 @@ class Fields:
         value = self.values.get(key, default)
         return float(value) if _is_number(value) else self._unexpected(key, "a finite number")
 
-    def numbers(self, key: str, count: int | None = None) -> Float | None:
+    def numbers(self, key: str, count: int) -> Float | None:
         """Return a list of `count` finite numbers, or None if absent."""
         if key not in self.values:
             return None
         numbers = self._list(key)
-        if not all(map(_is_number, numbers)) or count not in (None, len(numbers)):
-            self._unexpected(key, f"a list of {'' if count is None else f'{count} '}finite numbers")
+        if not all(map(_is_number, numbers)) or count != len(numbers):
+            self._unexpected(key, f"a list of {count} finite numbers")
         return np.array(numbers, dtype=np.float64)
 
     def texts(self, key: str) -> list[str]:
@@ -261,17 +262,7 @@ ELEMENT_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _MAX_UNSTORED_NUMBERS, _MAX_NUMBERS_PER_BYTE = 10_000_000, 16
 """Limits on computed numbers that are not stored in the file, such as zeros and repeated meshes."""
 
-_LISTS = (
-    "accessors",
-    "animations",
-    "buffers",
-    "bufferViews",
-    "materials",
-    "meshes",
-    "nodes",
-    "scenes",
-    "skins",
-)
+_LISTS = ("accessors", "animations", "buffers", "bufferViews", "materials", "meshes", "nodes", "scenes", "skins")
 
 
 @dataclass(frozen=True, eq=False)
@@ -422,6 +413,23 @@ def load_document(path: Path) -> Document:
     return document
 
 
+def has_sequence(path: Path) -> bool:
+    """Whether a .glb has a mesh sequence."""
+    with translate_read_errors(path, "glTF"):
+        data = open_data(path)
+        if data.read(0, 4) != b"glTF":
+            return False  # the reader reports the error
+        text, _ = read_glb_chunks(path, data)
+    # Files without a sequence are not parsed.
+    return f'"{SEQUENCE_EXTENSION}"'.encode() in text and bool(list_sequences(load_document(path)))
+
+
+def list_sequences(document: Document) -> list[Fields]:
+    """Return the extension objects of all mesh sequences, one for each body."""
+    extensions = [mesh.object("extensions") for mesh in document.items("meshes")]
+    return [each.object(SEQUENCE_EXTENSION) for each in extensions if SEQUENCE_EXTENSION in each]
+
+
 def collect_extensions(document: Mapping[str, Any]) -> set[str]:
     """Return the names of all extensions used in a document's JSON, declared or not."""
     names: set[str] = set()
@@ -439,7 +447,22 @@ def collect_extensions(document: Mapping[str, Any]) -> set[str]:
 
 def used_extensions(document: Document) -> set[str]:
     """Return the names of all extensions of a document, declared or in use."""
-    return collect_extensions(document.json) | {*document.top.texts("extensionsUsed")}
+    declared = (name for member in _DECLARATIONS for name in document.top.texts(member))
+    return collect_extensions(document.json) | {*declared}
+
+
+def undeclare_extensions(document: dict[str, Any], names: Container[str]) -> None:
+    """Remove names from the lists of a document's extensions."""
+    for member in _DECLARATIONS:
+        kept = [name for name in document.pop(member, ()) if name not in names]
+        document.update({member: kept} if kept else {})
+
+
+def remove_extension(entry: dict[str, Any], name: str) -> None:
+    """Remove an extension from an entry of a document."""
+    del entry["extensions"][name]
+    if not entry["extensions"]:
+        del entry["extensions"]
 
 
 def unknown_extensions(names: Iterable[str]) -> list[str]:

@@ -1,13 +1,12 @@
 """Reader and writer of the glTF extension ``MIXSEQ_mesh_sequence``: frames as the streams of a compressed model.
 
-The text and streams are identical to the text and streams of an HDF5 file. They hold vertices, faces, texture
-coordinates and hard edges, so a decoder reads only materials from primitives. Specification: ``docs/file-format.md``.
+The text and streams are those of an HDF5 file, with vertices, faces, texture coordinates and hard edges. They precede
+textures in the file, for progressive loading. The still is the first frame as ordinary glTF primitives by material, for
+viewers without the extension: compressed by Draco (11 bits for points, 7 for normals), plain float32, or a degenerate
+triangle per material. Every body has a node in a scene of its own; viewers show the first. Materials are copied from
+the original by name. Frames and still are relative to the origin of the text, at which the node is.
 
-The still is the first frame as ordinary glTF primitives by material, for viewers without the extension. It is
-compressed by Draco (11 bits for points, 7 for normals), plain float32, or a degenerate triangle per material. Every
-body has a node in a scene of its own; viewers show the first scene. Materials are copied from the original by name. The
-text and streams precede textures in the file, for progressive loading. Frames and still are relative to the origin of
-the text, at which the node is.
+Specification: ``docs/file-format.md``.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from mixseq.types import Float, FloatArray, Single
 from mixseq_io.coded.packing import pack
 from mixseq_io.coded.streams import Container
 from mixseq_io.files import check_memory
-from mixseq_io.gltf.codecs import (
+from mixseq_io.gltf.buffers import (
     COMPONENT_TYPES,
     FLOAT_COMPONENT,
     GENERATOR_NAME,
@@ -39,11 +38,11 @@ from mixseq_io.gltf.codecs import (
     Json,
     Layout,
     append,
-    compress_triangles,
     compute_bounds,
     compute_glb_size,
     open_buffer_writer,
 )
+from mixseq_io.gltf.codecs import compress_triangles
 from mixseq_io.gltf.document import (
     DRACO_EXTENSION,
     MALFORMED_JSON_ERRORS,
@@ -51,11 +50,9 @@ from mixseq_io.gltf.document import (
     Document,
     Fields,
     collect_extensions,
+    list_sequences,
     load_document,
-    open_data,
-    read_glb_chunks,
 )
-from mixseq_io.gltf.edits import embed_image, iterate_references
 from mixseq_io.gltf.new_document import (
     SplitPrimitive,
     add_material,
@@ -66,25 +63,9 @@ from mixseq_io.gltf.new_document import (
     node_transform,
     split_primitives,
 )
+from mixseq_io.gltf.writer import embed_image, iterate_references
 from mixseq_io.reader import as_float32, translate_read_errors, warn
 from mixseq_io.scene_meshes import SceneMesh
-
-
-def is_glb(path: Path) -> bool:
-    """Whether a file name ends in ``.glb``."""
-    return path.suffix.lower() == ".glb"
-
-
-def has_sequence(path: Path) -> bool:
-    """Whether a .glb has a mesh sequence."""
-    with translate_read_errors(path, "glTF"):
-        data = open_data(path)
-        if data.read(0, 4) != b"glTF":
-            return False  # the glTF reader reports the error
-        text, _ = read_glb_chunks(path, data)
-    if f'"{SEQUENCE_EXTENSION}"'.encode() not in text:  # avoids parsing files without a sequence
-        return False
-    return bool(_list_sequences(load_document(path)))
 
 
 def read_container(path: Path) -> Container:
@@ -96,7 +77,7 @@ def read_container(path: Path) -> Container:
             streams=_read_data(document, extension, "streams"),
             version=extension.integer("version"),
         )
-        for extension in _list_sequences(document)
+        for extension in list_sequences(document)
     ]
     if not containers:
         raise FormatError(f"{document.path} has no compressed model; make one with mixseq encode --max-error")
@@ -106,15 +87,9 @@ def read_container(path: Path) -> Container:
 def overhead_size(path: Path) -> int:
     """Return the size in bytes of a .glb's contents outside mesh sequences, such as stills and images."""
     document = load_document(path)
-    own = {extension.index(name) for extension in _list_sequences(document) for name in ("coding", "streams")}
+    own = {extension.index(name) for extension in list_sequences(document) for name in ("coding", "streams")}
     views = document.items("bufferViews")
     return sum(view.integer("byteLength") for index, view in enumerate(views) if index not in own)
-
-
-def _list_sequences(document: Document) -> list[Fields]:
-    """Return the extension objects of all mesh sequences, one for each body."""
-    extensions = [mesh.object("extensions") for mesh in document.items("meshes")]
-    return [each.object(SEQUENCE_EXTENSION) for each in extensions if SEQUENCE_EXTENSION in each]
 
 
 def _read_data(document: Document, extension: Fields, key: str) -> bytes:

@@ -27,7 +27,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, IntArray, Single
-from mixseq_io.gltf.codecs import (
+from mixseq_io.gltf.buffers import (
     ARRAY_BUFFER,
     ELEMENT_ARRAY_BUFFER,
     GENERATOR_NAME,
@@ -39,7 +39,6 @@ from mixseq_io.gltf.codecs import (
     compute_bounds,
     compute_glb_size,
 )
-from mixseq_io.gltf.edits import NO_OTHER_MOTION, OtherMotion
 from mixseq_io.reader import as_float32
 from mixseq_io.scene_meshes import SceneMesh, split_meshes
 from mixseq_io.surfaces import clip_to_unit, colours_to_exact_bytes
@@ -73,31 +72,10 @@ class MovingMesh:
 class MorphFrameWriter:
     """Writer of frames as morph targets; the constructor lays out the buffer, then frames are written in order."""
 
-    def __init__(
-        self,
-        layout: Layout,
-        meshes: Sequence[MovingMesh],
-        header: SequenceHeader,
-        keep_start: bool = False,
-        others: OtherMotion = NO_OTHER_MOTION,
-    ) -> None:
+    def __init__(self, layout: Layout, meshes: Sequence[MovingMesh], header: SequenceHeader) -> None:
         self._meshes, self._header = meshes, header
-        self._add_animation(layout, header, keep_start, others)
         self._frames = [self._reserve(layout, frame) for frame in range(header.frame_count)]
         self._first: tuple[FloatArray, list[Single]] | None = None
-
-    def _add_animation(self, layout: Layout, header: SequenceHeader, keep_start: bool, others: OtherMotion) -> None:
-        """Add the animation of the weights, 1 for the target of each frame."""
-        if header.frame_count == 1:
-            return
-        times, animation = create_animation(layout, header, keep_start)
-        count = header.frame_count * (header.frame_count - 1)
-        targets = np.arange(1, header.frame_count)
-        rows = ((targets == key).astype(np.float32) for key in range(header.frame_count))
-        weights = layout.accessor(layout.add(rows, 4 * count), count, "SCALAR")
-        add_channels(animation, times, weights, [mesh.node for mesh in self._meshes], "weights")
-        others.add_to(animation, layout, header)
-        append(layout.document, "animations", animation)
 
     def _reserve(self, layout: Layout, frame: int) -> tuple[int, list[Json]]:
         """Reserve a view for a frame; return its offset, and the accessors of points without bounds."""
@@ -153,15 +131,29 @@ class MorphFrameWriter:
 def size_with_frame_targets(header: SequenceHeader) -> int:
     """Return the size in bytes of a .glb with a morph target per frame; the text of bounds may differ in length."""
     layout, meshes = create_scene(header)
+    add_frame_animation(layout, meshes, header)
     MorphFrameWriter(layout, meshes, header)
     return compute_glb_size(layout)
 
 
-def create_animation(layout: Layout, header: SequenceHeader, keep_start: bool = False) -> tuple[int, Json]:
-    """Add float32 key times ``(T,)`` of the frames; return their accessor, and an animation without channels.
+def add_frame_animation(
+    layout: Layout, meshes: Sequence[MovingMesh], header: SequenceHeader, keep_start: bool = False
+) -> Json | None:
+    """Add the animation of the weights, 1 for the target of each frame; return it, None for a single frame."""
+    if header.frame_count == 1:
+        return None
+    times, animation = create_animation(layout, header, keep_start)
+    count = header.frame_count * (header.frame_count - 1)
+    targets = np.arange(1, header.frame_count)
+    rows = ((targets == key).astype(np.float32) for key in range(header.frame_count))
+    weights = layout.accessor(layout.add(rows, 4 * count), count, "SCALAR")
+    add_channels(animation, times, weights, [mesh.node for mesh in meshes], "weights")
+    append(layout.document, "animations", animation)
+    return animation
 
-    The animation's extras are ``fps``, and ``start`` (the time in s at key time 0) unless this time is 0.
-    """
+
+def create_animation(layout: Layout, header: SequenceHeader, keep_start: bool = False) -> tuple[int, Json]:
+    """Add key times ``(T,)`` of the frames; return their accessor, and an animation with rate and start as extras."""
     start = choose_start(header, keep_start)
     keys = (header.times - start).astype(np.float32)
     is_equal = np.diff(keys) <= 0
@@ -188,24 +180,17 @@ def choose_start(header: SequenceHeader, keep_start: bool = False) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SplitPrimitive:
-    """Triangles ``(F, 3)`` of one material on n split vertices, with attributes ``(n, k)`` by glTF name.
+    """Triangles ``(F, 3)`` of one material on n split vertices, with attributes ``(n, k)`` by glTF name."""
 
-    Split vertices are copies of the mesh vertices `vertex_ids` ``(n,)``, with the shared normals `normal_ids` ``(n,)``
-    (see `mixseq.mesh.measures.corner_normals`).
-    """
-
-    vertex_ids: IntArray
-    normal_ids: IntArray
+    vertex_ids: IntArray  # (n,) of the mesh
+    normal_ids: IntArray  # (n,) of the shared normals, see `mixseq.mesh.measures.corner_normals`
     attributes: Mapping[str, Single]
     triangles: NDArray[np.uint32]
     face_set: FaceSet | None
 
 
 def split_primitives(mesh: SceneMesh) -> list[SplitPrimitive]:
-    """Split a mesh into primitives: one per face set in `assign_face_sets`, and one for the remaining polygons.
-
-    Vertices keep their order within a primitive. Vertices without polygons belong to the first primitive.
-    """
+    """Split a mesh into a primitive per face set of `assign_face_sets`, and one of others; loose vertices go first."""
     corner_count, vertex_count = mesh.polygons.indices.size, mesh.vertex_count
     owner_of_corner = np.repeat(assign_face_sets(mesh).astype(np.int64) + 1, mesh.polygons.counts)
     layers = {name: layer for name, layer in (("TEXCOORD_0", mesh.uvs), ("COLOR_0", mesh.colours)) if layer is not None}
@@ -311,10 +296,7 @@ def group_nodes(
 
 
 def node_transform(header: SequenceHeader, origin: Float = NO_ORIGIN) -> Json:
-    """Return the node transform of points relative to an origin ``(3,)``, or {} for the identity.
-
-    It adds the origin, and turns and scales from the axes and units of a sequence to Y up and metres.
-    """
+    """Return the transform to Y up and metres of points relative to an origin ``(3,)``, or {} for the identity."""
     columns = {"X": [(0, 1, 0), (-1, 0, 0), (0, 0, 1)], "Z": [(1, 0, 0), (0, 0, -1), (0, 1, 0)]}
     matrix = np.eye(4)
     matrix[:3, :3] = header.metres_per_unit * np.array(columns.get(header.up_axis, np.eye(3)))

@@ -31,28 +31,20 @@ from mixseq_io.gltf.document import Document, Fields
 from mixseq_io.surfaces import renumber_by_appearance
 
 _TEXTURE_TRANSFORM = "KHR_texture_transform"
+_METALLIC_TEXTURES = ("baseColorTexture", "metallicRoughnessTexture")
 _OTHER_TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
 
 
 def texture_transform(document: Document, primitive: Fields) -> Float:
     """Return a material's transform of a primitive's TEXCOORD_0 as a matrix ``(2, 3)`` with the offset last."""
     index = primitive.index("material")
-    textures = [] if index is None else _iterate_textures(document.item("materials", index))
-    for texture in textures:
+    material = Fields(document.path, "", {}) if index is None else document.item("materials", index)
+    owners = (material.object("pbrMetallicRoughness"), _METALLIC_TEXTURES), (material, _OTHER_TEXTURES)
+    for texture in (owner.object(name) for owner, names in owners for name in names if name in owner):
         transform = texture.object("extensions").object(_TEXTURE_TRANSFORM)
         if transform.integer("texCoord", texture.integer("texCoord", 0)) == 0:
             return _transform_matrix(transform)
     return np.eye(2, 3)
-
-
-def _iterate_textures(material: Fields) -> Iterator[Fields]:
-    """Yield the textures of a material, beginning with the base colour texture."""
-    metallic = material.object("pbrMetallicRoughness")
-    for owner, names in (
-        (metallic, ("baseColorTexture", "metallicRoughnessTexture")),
-        (material, _OTHER_TEXTURES),
-    ):
-        yield from (owner.object(name) for name in names if name in owner)
 
 
 def _transform_matrix(transform: Fields) -> Float:
@@ -172,15 +164,12 @@ def split_triangles(corners: NDArray[np.int32], mode: int) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, eq=False)
 class Weld:
-    """Weld of a glTF mesh: `vertex_ids` ``(n,)`` hold the welded vertex of each split vertex, per primitive.
-
-    `representatives` ``(W,)`` index one split vertex of each welded vertex; `skipped` index primitives not read.
-    """
+    """Weld of the vertices of a glTF mesh."""
 
     primitives: tuple[Primitive, ...]
-    skipped: tuple[int, ...]
-    vertex_ids: tuple[NDArray[np.int32], ...]
-    representatives: IntArray
+    skipped: tuple[int, ...]  # indices of primitives that are not read
+    vertex_ids: tuple[NDArray[np.int32], ...]  # per primitive, the welded vertex (n,) of each split vertex
+    representatives: IntArray  # (W,) one split vertex of each welded vertex
 
     @property
     def vertex_count(self) -> int:
@@ -225,7 +214,8 @@ def _label_by_motion(primitives: Sequence[Primitive]) -> IntArray:
     """Label vertices ``(n,)`` by position, joints, weights and morph deltas, in order of appearance."""
     labels: IntArray = np.zeros(sum(len(each.positions) for each in primitives), dtype=np.int64)
     for columns in _welding_columns(primitives):
-        labels = label_rows(np.column_stack([labels, columns]))
+        rows = np.ascontiguousarray(np.column_stack([labels, columns]) + 0.0)  # turns -0 into 0
+        labels = np.unique(rows.view(f"V{rows.strides[0]}"), return_inverse=True)[1].reshape(-1)
     return renumber_by_appearance(labels)[0]
 
 
@@ -283,9 +273,3 @@ def _gather(primitives: Sequence[Primitive], arrays: Sequence[NDArray[Any] | Non
             for each, values in zip(primitives, arrays, strict=True)
         ]
     ).astype(np.float64)
-
-
-def label_rows(rows: NDArray[Any]) -> IntArray:
-    """Label rows ``(n, k)`` so that equal rows share a label ``(n,)``; -0 equals 0."""
-    rows = np.ascontiguousarray(rows + 0.0)  # turns -0 into 0
-    return np.unique(rows.view(f"V{rows.strides[0]}"), return_inverse=True)[1].reshape(-1)

@@ -39,18 +39,16 @@ from mixseq_io.gltf.animation import (
     MeshSkin,
     choose_animation,
     evaluate_pose,
-    find_transform_nodes,
     insert_frames,
     merge_key_times,
     read_channels,
     read_extra_number,
     read_inverse_binds,
-    read_joint_nodes,
     read_mesh_node,
     sample_times,
 )
+from mixseq_io.gltf.codecs import load_plain_document
 from mixseq_io.gltf.document import Document, Fields, unknown_extensions, used_extensions
-from mixseq_io.gltf.expansion import load_plain_document
 from mixseq_io.gltf.primitives import Primitive, Weld, texture_transform, weld_vertices
 from mixseq_io.gltf.scene import Pose, Scene, read_scene
 from mixseq_io.reader import AnimationReader, SequenceReader, prefix_errors, warn
@@ -73,34 +71,29 @@ if TYPE_CHECKING:
     from mixseq.rigging.rigs import Skeleton
 
 
-def _select_nodes(document: Document, scene: Scene, prim: str | None) -> list[int]:
+def _select_nodes(scene: Scene, prim: str | None) -> list[int]:
     """Return the nodes with meshes, only those at or below `prim` if given; omit hidden nodes unless all are."""
     nodes = [node for node in scene.objects if "mesh" in scene.nodes[node]]
     if prim is not None:
         objects = [scene.objects[node] for node in nodes]
-        nodes = [nodes[i] for i in select_meshes(document.path, objects, prim)]
+        nodes = [nodes[i] for i in select_meshes(scene.document.path, objects, prim)]
     return [node for node in nodes if node not in scene.hidden] or nodes
 
 
 def _find_moving_nodes(
-    document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel], others: Collection[int]
+    scene: Scene, nodes: Sequence[int], channels: Collection[Channel], others: Collection[int]
 ) -> list[bool]:
     """Return whether the mesh of each node moves; `others` are nodes that may move."""
     moved = {(channel.node, channel.name == "weights") for channel in channels if channel.is_animated}
     moved |= {(node, is_morph) for node in others for is_morph in (False, True)}
     return [
         (node, True) in moved
-        or any(
-            (above, False) in moved
-            for above in scene.with_ancestors(find_transform_nodes(document, scene.nodes[node], node))
-        )
+        or any((above, False) in moved for above in scene.with_ancestors(scene.transform_nodes(node)))
         for node in nodes
     ]
 
 
-def _make_scene_mesh(
-    document: Document, mesh_node: MeshNode, pose: Pose, world: Mapping[int, Float], frame_name: str
-) -> SceneMesh:
+def _make_scene_mesh(mesh_node: MeshNode, pose: Pose, world: Mapping[int, Float], frame_name: str) -> SceneMesh:
     """Return the mesh of a node with its surface, in the pose of a frame, where its points have to be finite."""
     check_finite(mesh_node.world_points(pose, world, 1)[0], frame_name)
     weld, scene, primitives = mesh_node.weld, mesh_node.scene, mesh_node.weld.primitives
@@ -119,7 +112,7 @@ def _make_scene_mesh(
         uvs=_join_values(primitives, list(map(_read_uvs, primitives)), DEFAULT_UV, corners),
         colours=_join_values(primitives, list(map(_read_colours, primitives)), DEFAULT_COLOUR, corners),
         hard_edges=_find_hard_edges(primitives, corners, polygons),
-        face_sets=_make_face_sets(document, primitives),
+        face_sets=_make_face_sets(scene.document, primitives),
     )
 
 
@@ -207,41 +200,39 @@ def _skinning_of(mesh_node: MeshNode) -> Skinning:
 
 def read_joints(path: Path, name: str | None) -> Skeleton:
     """Read the joints of a skin; see `mixseq_io.read_skeleton`."""
-    document = load_plain_document(path)
-    scene = read_scene(document)
-    skin = _select_skin(document, name)
-    joints = read_joint_nodes(document, skin)
+    scene = read_scene(load_plain_document(path))
+    skin = _select_skin(scene, name)
+    joints = scene.joints(skin)
     parents = _joint_parents(scene, joints)
     names = [scene.nodes[joint].text("name") for joint in joints]
-    return build_skeleton(names, parents, _bind_matrices(document, scene, skin, parents))
+    return build_skeleton(names, parents, _bind_matrices(scene, skin, parents))
 
 
-def _select_nodes_of_skin(document: Document, scene: Scene, skin: Fields) -> list[int]:
+def _select_nodes_of_skin(scene: Scene, skin: Fields) -> list[int]:
     """Return the nodes with meshes bound to the joints of a skin, and nodes with unskinned meshes below the joints."""
-    joints = set(read_joint_nodes(document, skin))
+    joints = set(scene.joints(skin))
 
     def is_bound(node: int) -> bool:
-        own = scene.nodes[node].index("skin")
-        if own is None:
+        if "skin" not in scene.nodes[node]:
             return not joints.isdisjoint(scene.lineage(node))
-        return joints == set(read_joint_nodes(document, document.item("skins", own)))
+        return joints == set(scene.transform_nodes(node))
 
-    nodes = [node for node in _select_nodes(document, scene, None) if is_bound(node)]
+    nodes = [node for node in _select_nodes(scene, None) if is_bound(node)]
     if not nodes:
-        raise NoMeshError(f"{document.path} has no mesh on its skeleton; export the character with its mesh")
+        raise NoMeshError(f"{scene.document.path} has no mesh on its skeleton; export the character with its mesh")
     return nodes
 
 
-def _bind(document: Document, mesh_node: MeshNode, skin: Fields) -> MeshNode:
+def _bind(mesh_node: MeshNode, skin: Fields) -> MeshNode:
     """Return a mesh in its bind pose, bound to the first joint r without a parent.
 
     The inverse bind matrix is :math:`I_r`, or :math:`I_r I_j^{-1} W_j^{-1} W_n` if node n is unskinned below joint j.
     """
     scene, own_skin = mesh_node.scene, mesh_node.skin
-    joints = read_joint_nodes(document, skin)
+    joints = scene.joints(skin)
     if "inverseBindMatrices" not in skin:
         return mesh_node  # the static pose is the bind pose
-    inverse_binds = read_inverse_binds(document, skin, len(joints))
+    inverse_binds = read_inverse_binds(scene.document, skin, len(joints))
     root = _joint_parents(scene, joints).index(-1)
     if own_skin is None:
         joint = next(node for node in scene.lineage(mesh_node.node) if node in joints)
@@ -254,11 +245,12 @@ def _bind(document: Document, mesh_node: MeshNode, skin: Fields) -> MeshNode:
     return replace(mesh_node, skin=MeshSkin([joints[root]], to_root[None], weights))
 
 
-def _select_skin(document: Document, name: str | None) -> Fields:
+def _select_skin(scene: Scene, name: str | None) -> Fields:
     """Return the first skin of the named or only skeleton; skins with the same joints form one skeleton."""
+    document = scene.document
     first_skins: dict[frozenset[int], int] = {}
     for index, skin in enumerate(document.items("skins")):
-        first_skins.setdefault(frozenset(read_joint_nodes(document, skin)), index)
+        first_skins.setdefault(frozenset(scene.joints(skin)), index)
     skins = list(first_skins.values())
     own_names = [document.item("skins", index).text("name") for index in skins]
     names = [
@@ -274,13 +266,13 @@ def _joint_parents(scene: Scene, joints: Sequence[int]) -> list[int]:
     return [next((index[node] for node in scene.lineage(joint)[1:] if node in index), -1) for joint in joints]
 
 
-def _bind_matrices(document: Document, scene: Scene, skin: Fields, parents: Sequence[int]) -> Float:
+def _bind_matrices(scene: Scene, skin: Fields, parents: Sequence[int]) -> Float:
     """Return the world matrices ``(J, 4, 4)`` of the joints in the bind pose."""
-    joints = read_joint_nodes(document, skin)
+    joints = scene.joints(skin)
     world = scene.world_matrices(joints, {})
     if "inverseBindMatrices" not in skin:  # the static pose is the bind pose
         return np.concatenate([world[joint] for joint in joints])
-    inverse_binds = read_inverse_binds(document, skin, len(joints))
+    inverse_binds = read_inverse_binds(scene.document, skin, len(joints))
     is_singular = np.abs(np.linalg.det(inverse_binds)) < np.finfo(np.float64).tiny
     if is_singular.any() or not np.isfinite(inverse_binds).all():
         raise skin.error("has an inverse bind matrix that is not invertible or finite; the file is damaged")
@@ -298,53 +290,52 @@ def open_gltf(
         if unknown := unknown_extensions(used_extensions(document)):
             warn(f"{path}: extensions that are not supported are ignored: {format_names(unknown)}")
         scene = read_scene(document)
-        nodes = _select_nodes(document, scene, prim)
+        nodes = _select_nodes(scene, prim)
         if not nodes:
             raise NoMeshError(f"{path} has no triangles to read; points and lines alone are not a mesh")
         fields = choose_animation(document, animation)
         errors: dict[int, MixseqError] = {}  # by node whose channels cannot be read
-        all_channels = read_channels(document, fields, _influencing_nodes(document, scene, nodes), errors)
+        all_channels = read_channels(document, fields, _influencing_nodes(scene, nodes), errors)
         is_moving = [False] * len(nodes)
         if prim is None:
-            is_moving = _find_moving_nodes(document, scene, nodes, all_channels, errors)
+            is_moving = _find_moving_nodes(scene, nodes, all_channels, errors)
         stored_rate, start = read_extra_number(fields, "fps", 0.0), read_extra_number(fields, "start") or 0.0
         channels, times, rate = all_channels, np.zeros(1), DEFAULT_FPS
 
         def prepare(chosen: list[int]) -> Callable[[int], tuple[MeshNode, SceneMesh]]:
             nonlocal channels, times, rate
-            influencing = _influencing_nodes(document, scene, [nodes[index] for index in chosen])
+            influencing = _influencing_nodes(scene, [nodes[index] for index in chosen])
             channels = [channel for channel in all_channels if channel.node in influencing]
             times, rate = _choose_times(path, channels, fps, stored_rate)
             frame_name = f"frame {format_frame(times[0] + start, rate)}"
-            pose, read = evaluate_pose(channels, times[:1]), _mesh_node_reader(document, scene, channels)
+            pose, read = evaluate_pose(channels, times[:1]), _mesh_node_reader(scene, channels)
             world: dict[int, Float] = {}  # of ancestors of all meshes, computed once
 
             def read_mesh(index: int) -> tuple[MeshNode, SceneMesh]:
-                for node in _influencing_nodes(document, scene, nodes[index : index + 1]) if errors else ():
+                for node in _influencing_nodes(scene, nodes[index : index + 1]) if errors else ():
                     if node in errors:
                         raise errors[node]
                 mesh_node = read(nodes[index])
                 scene.world_matrices(mesh_node.transform_nodes, pose, world)
-                return mesh_node, _make_scene_mesh(document, mesh_node, pose, world, frame_name)
+                return mesh_node, _make_scene_mesh(mesh_node, pose, world, frame_name)
 
             return read_mesh
 
         meshes = read_valid_meshes(path, [scene.objects[node] for node in nodes], is_moving, prepare)
         mesh_nodes, scene_meshes = [mesh_node for mesh_node, _ in meshes], [scene_mesh for _, scene_mesh in meshes]
-        return _GltfReader(document, mesh_nodes, scene_meshes, channels, times, rate, start)
+        return _GltfReader(mesh_nodes, scene_meshes, channels, times, rate, start)
 
 
 def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
     """Open the meshes of a skeleton in their bind pose; see `mixseq_io.read_bind_pose`."""
     with prefix_errors(path), np.errstate(all="ignore"):
-        document = load_plain_document(path)
-        scene = read_scene(document)
-        skin = _select_skin(document, skeleton)
-        read = _mesh_node_reader(document, scene, ())
-        mesh_nodes = [_bind(document, read(node), skin) for node in _select_nodes_of_skin(document, scene, skin)]
+        scene = read_scene(load_plain_document(path))
+        skin = _select_skin(scene, skeleton)
+        read = _mesh_node_reader(scene, ())
+        mesh_nodes = [_bind(read(node), skin) for node in _select_nodes_of_skin(scene, skin)]
         world = _world_matrices(mesh_nodes, {})
-        scene_meshes = [_make_scene_mesh(document, each, {}, world, "the bind pose") for each in mesh_nodes]
-        return _GltfReader(document, mesh_nodes, scene_meshes, (), np.zeros(1), DEFAULT_FPS, 0.0)
+        scene_meshes = [_make_scene_mesh(each, {}, world, "the bind pose") for each in mesh_nodes]
+        return _GltfReader(mesh_nodes, scene_meshes, (), np.zeros(1), DEFAULT_FPS, 0.0)
 
 
 _MIN_KEY_RATE = 10.0
@@ -376,21 +367,20 @@ def _find_keys(animated: Sequence[Channel], times: Float, rate: float) -> FileKe
     return find_keys(merge_key_times(channel.times for channel in animated), times, rate, kinds == {"STEP"})
 
 
-def _influencing_nodes(document: Document, scene: Scene, nodes: Sequence[int]) -> set[int]:
+def _influencing_nodes(scene: Scene, nodes: Sequence[int]) -> set[int]:
     """Return nodes with meshes, and all nodes whose transforms move these meshes."""
     influencing, number_count = set(nodes), 0
     for node in nodes:
-        transforms = find_transform_nodes(document, scene.nodes[node], node)
+        transforms = scene.transform_nodes(node)
         number_count += 16 * len(transforms)
-        document.check_effort(number_count, "skeletons of all meshes together")
+        scene.document.check_effort(number_count, "skeletons of all meshes together")
         influencing |= scene.with_ancestors(transforms)
     return influencing
 
 
-def _mesh_node_reader(document: Document, scene: Scene, channels: Collection[Channel]) -> Callable[[int], MeshNode]:
+def _mesh_node_reader(scene: Scene, channels: Collection[Channel]) -> Callable[[int], MeshNode]:
     """Return the function that reads a node with a mesh, whose animated weights have to match its targets."""
-    welds: dict[int, Weld] = {}
-    number_count = 0
+    document, welds, number_count = scene.document, dict[int, Weld](), 0
 
     def read(node: int) -> MeshNode:
         nonlocal number_count
@@ -403,7 +393,7 @@ def _mesh_node_reader(document: Document, scene: Scene, channels: Collection[Cha
             raise NoMeshError(f"{where} has no triangles to read; points and lines alone are not a mesh")
         number_count += 3 * weld.vertex_count + weld.triangles.size
         document.check_effort(number_count, "meshes of all nodes together")
-        mesh_node = read_mesh_node(document, scene, node, weld)
+        mesh_node = read_mesh_node(scene, node, weld)
         count = len(mesh_node.weights)
         for channel in channels:
             if channel.node == node and channel.name == "weights" and len(channel.values.T) != count:
@@ -438,7 +428,6 @@ class _GltfReader(AnimationReader):
 
     def __init__(
         self,
-        document: Document,
         mesh_nodes: Sequence[MeshNode],
         scene_meshes: Sequence[SceneMesh],
         channels: Sequence[Channel],
@@ -449,7 +438,7 @@ class _GltfReader(AnimationReader):
         scene = mesh_nodes[0].scene
         world = _world_matrices(mesh_nodes, evaluate_pose(channels, times[:1]))
         is_mirrored = [bool(each.orientation(world)[0] < 0) for each in mesh_nodes]
-        path = document.path
+        path = scene.document.path
         animated = [channel for channel in channels if channel.is_animated]
         # Shapes that are stored frame by frame are samples, between which weights are not meant to be linear.
         can_evaluate = bool(animated) and not any(channel.is_cache for channel in animated)

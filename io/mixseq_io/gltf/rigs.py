@@ -29,7 +29,7 @@ from mixseq.errors import OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, Single
-from mixseq_io.gltf.codecs import ARRAY_BUFFER, Json, Layout, add_channels, append
+from mixseq_io.gltf.buffers import ARRAY_BUFFER, Json, Layout, add_channels, append
 from mixseq_io.gltf.new_document import (
     MovingMesh,
     create_animation,

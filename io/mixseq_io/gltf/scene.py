@@ -69,10 +69,15 @@ _IDENTITY_TRS = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0
 class Scene:
     """Nodes of a file with their parents (-1 for roots), and the objects and hidden nodes of its default scene."""
 
-    nodes: Sequence[Fields]
+    document: Document
     parents: Sequence[int]
     objects: Mapping[int, SceneObject]
     hidden: Set[int]
+
+    @property
+    def nodes(self) -> Sequence[Fields]:
+        """Fields of all nodes."""
+        return self.document.items("nodes")
 
     @cached_property
     def paths(self) -> Mapping[int, str]:
@@ -96,13 +101,24 @@ class Scene:
                 node = self.parents[node]
         return visited - {-1}
 
+    def joints(self, skin: Fields) -> list[int]:
+        """Return the nodes of a skin's joints."""
+        joints = skin.integers("joints")
+        if not joints:
+            raise skin.error("has no joints; the file is damaged")
+        for joint in joints:
+            self.document.item("nodes", joint)
+        return joints
+
+    def transform_nodes(self, node: int) -> list[int]:
+        """Return the nodes whose matrices move a mesh: the joints of its skin, or its own node if it is unskinned."""
+        skin = self.nodes[node].index("skin")
+        return [node] if skin is None else self.joints(self.document.item("skins", skin))
+
     def world_matrices(
         self, nodes: Iterable[int], pose: Pose, world: dict[int, Float] | None = None
     ) -> dict[int, Float]:
-        """Return the local-to-world matrices of nodes and their ancestors, ``(B, 4, 4)`` or constant ``(1, 4, 4)``.
-
-        They are added to `world`, if given, unless they are there.
-        """
+        """Return local-to-world matrices ``(B or 1, 4, 4)`` of nodes and ancestors, added to `world` if given."""
         world = {} if world is None else world
         world.setdefault(-1, np.eye(4)[None])
         for node in nodes:
@@ -131,7 +147,7 @@ def read_scene(document: Document) -> Scene:
             parents[child] = parent
     _check_acyclic(nodes, parents)
     order = _order_depth_first(_read_roots(document, parents), children)
-    return Scene(nodes, parents, _read_objects(document, parents, order), _find_hidden(nodes, parents, order))
+    return Scene(document, parents, _read_objects(document, parents, order), _find_hidden(nodes, parents, order))
 
 
 def _check_acyclic(nodes: Sequence[Fields], parents: Sequence[int]) -> None:

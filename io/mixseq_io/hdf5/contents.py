@@ -63,12 +63,10 @@ class Contents:
 
 def read_attributes(path: Path) -> Contents:
     """Read the attributes of a file, without its arrays."""
-    check_regular_file(path, "HDF5")
-    contents: Contents = call_isolated(f"{_WORKER_MODULE}:load_attributes", path)
-    return contents
+    return read_contents(path, "")
 
 
-def read_contents(path: Path, kind: str | None = None, meanwhile: Callable[[], object] | None = None) -> Contents:
+def read_contents(path: Path, kind: str, meanwhile: Callable[[], object] | None = None) -> Contents:
     """Read a file, but only the attributes if `format` is not `kind`; call `meanwhile` while the worker reads."""
     check_regular_file(path, "HDF5")
     contents: Contents = call_isolated(f"{_WORKER_MODULE}:load_contents", path, kind, meanwhile=meanwhile)

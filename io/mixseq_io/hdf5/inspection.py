@@ -139,20 +139,13 @@ class _FileInspector:
         )
 
 
-def load_attributes(path: Path) -> Contents:
-    """Read a file's attributes for `mixseq_io.hdf5.contents.read_attributes`."""
-    limit_time(_ATTRIBUTE_TIME_FRACTION)
-    with open_inspected(path) as file:
-        return Contents(path, _read_attributes(_list_objects(file)[0]), {})
-
-
-def load_contents(path: Path, kind: str | None) -> Contents:
+def load_contents(path: Path, kind: str) -> Contents:
     """Read a file for `mixseq_io.hdf5.contents.read_contents`."""
     limit_time(_ATTRIBUTE_TIME_FRACTION)
     with open_inspected(path) as file:
         groups, datasets = _list_objects(file)
         contents = Contents(path, _read_attributes(groups), {})
-        if kind not in (None, contents.kind):
+        if contents.kind != kind:
             return contents
         limit_time(1)
         return Contents(path, contents.attributes, _read_arrays(path, datasets, ()))

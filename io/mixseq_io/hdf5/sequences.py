@@ -1,7 +1,7 @@
 """Read and write HDF5 sequences: complete mesh sequences, deflated, with checksums.
 
 ``docs/file-format.md`` describes datasets and attributes. Points and velocities are stored in chunks of whole frames.
-A file whose `format` is "mixseq-model" holds a model instead; see `mixseq_io.loading`.
+A file whose `format` is "mixseq-model" holds a model instead; see `mixseq_io.model_files`.
 """
 
 from __future__ import annotations

@@ -32,14 +32,7 @@ from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_number, time_to_
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import atomic_files
-from mixseq_io.reader import (
-    SequenceReader,
-    prefix_errors,
-    read_bytes,
-    translate_read_errors,
-    validate_blocks,
-    warn,
-)
+from mixseq_io.reader import SequenceReader, prefix_errors, read_bytes, translate_read_errors, validate_blocks, warn
 from mixseq_io.surfaces import lost_scale, scale_text_colours, warn_of_losses
 
 _FRAME_PATTERN = re.compile(r"#+|%0?(\d*)d")

@@ -1,26 +1,13 @@
 """Read and write numbered Wavefront OBJ files, one text file per frame, with unchanged polygons and vertex order.
 
-==================================  ==============================================================
-in the file                         in the sequence
-==================================  ==============================================================
-``v``, without weights              points
-``v`` with six numbers              colours of the vertices in the first frame
-``f``                               polygons
-``vt``                              texture coordinates in the first frame
-``vn``                              hard edges, where a vertex of the first frame has several normals
-``o``, a single one                 name of the mesh
-``o``, several                      objects if each object has separate, consecutive vertices,
-                                    otherwise face sets
-``usemtl``                          face sets with that material
-``g``                               face sets without a material; ``g a b`` puts faces in both sets
-==================================  ==============================================================
+The first frame gives the surface: colours (``v`` with six numbers), texture coordinates (``vt``), hard edges (``vn``,
+where a vertex has several normals), face sets with a material (``usemtl``) and without one (``g``; ``g a b`` puts faces
+in both), and objects (``o``), if each has separate, consecutive vertices; others are face sets. A single one is a name.
 
 mixseq has a parser for OBJ, because trimesh merges and splits vertices and triangulates polygons. Points are written
 with enough digits to restore the same float32 or float64. A comment at the start states this precision, and a comment
 at the end marks a complete file. Points of files without these comments are read as float64. Every frame has normals if
-the mesh has hard edges. Reading loses hard edges that are flat in the first frame. A material's name is the last part
-of its path. OBJ cannot store times, frame rate, units, the up axis, velocities, subdivision, alpha, several colours at
-a vertex, or two materials on one polygon. The library of materials (``mtllib``) is not written.
+the mesh has hard edges. Reading loses hard edges that are flat in the first frame.
 
 Specification: https://paulbourke.net/dataformats/obj/
 """
@@ -247,10 +234,7 @@ def _read_lines(file: Path, data: bytes, first: MeshFile | None) -> _Lines:
 
 
 def _parse_faces(file: Path, lines: _Lines) -> tuple[IntArray, IntArray]:
-    """Parse corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; the index -1 refers to the last element before the face.
-
-    Return corner counts ``(P,)`` of the faces and indices ``(sum of counts, 3)`` of the corners.
-    """
+    """Return the corner counts ``(P,)`` of faces, and the indices ``(C, 3)`` of corners ``v/vt/vn``."""
     counts: list[int] = []
     corners: list[tuple[int, int, int]] = []
     other_counts = lines.uv_and_normal_counts or [(0, 0)] * len(lines.faces)

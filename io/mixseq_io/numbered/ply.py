@@ -1,15 +1,13 @@
 """Read and write numbered PLY files, one text or binary file per frame, with unchanged polygons and vertex order.
 
-The reader uses ``x``, ``y``, ``z`` of the vertices and the list ``vertex_indices`` (or ``vertex_index``) of the faces.
 Texture coordinates are ``s t`` or ``u v`` of vertices, or the list ``texcoord`` of faces. Colours are ``red``,
 ``green``, ``blue`` and optionally ``alpha`` of vertices or faces, or the list ``color`` of faces. Points keep the
 precision ``float`` or ``double``; integer points become float64.
 
 Files are written as little-endian binary, in the points' precision. Values equal at all corners of each vertex are
-written per vertex: texture coordinates as ``s t``, colours as ``uchar`` if exact, else ``float``. Other values are
-written per corner, in MeshLab's lists ``texcoord`` and ``color``. PLY cannot store the name, times, frame rate, units,
-the up axis, velocities, hard edges, face sets, objects or subdivision. trimesh is not used: it rejects binary files
-with triangles and quads, and triangulates text files. Counts are checked against the file's size before reading.
+written per vertex, colours as ``uchar`` if exact, else ``float``; other values per corner, in MeshLab's lists. trimesh
+is not used: it rejects binary files with triangles and quads, and triangulates text files. Counts are checked against
+the file's size before reading.
 
 Specification: https://paulbourke.net/dataformats/ply/
 """

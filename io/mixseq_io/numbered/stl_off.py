@@ -1,8 +1,8 @@
-"""Read and write numbered OFF and STL files, which store only triangles.
+"""Read and write numbered OFF and STL files, which store only triangles, and no surface but colours of OFF's vertices.
 
-OFF and COFF files are text with optional vertex colours. They are read by trimesh, which triangulates quads. Points are
-written with enough digits to restore the same float32 or float64; a comment states this precision. Points of files
-without this comment are read as float64. Specification: http://www.geomview.org/docs/html/OFF.html
+OFF and COFF files are text. They are read by trimesh, which triangulates quads. Points are written with enough digits
+to restore the same float32 or float64; a comment states this precision. Points of files without this comment are read
+as float64. Specification: http://www.geomview.org/docs/html/OFF.html
 
 STL stores the three positions of every triangle. Corners that coincide in all frames become one vertex, so that parts
 that touch in some frames only stay apart; vertices are numbered in order of appearance. Programs that compute a vertex
@@ -11,9 +11,6 @@ float32; text is read as float64, with all solids as one mesh. Files are written
 own parser: trimesh 5.2 skips invalid lines and data after an unclosed solid (100 of 732 damaged files were read), and
 rejects a solid with "vertex" in its name.
 Specification: https://www.loc.gov/preservation/digital/formats/fdd/fdd000504.shtml
-
-Neither format can store polygons, the name, times, frame rate, units, the up axis, velocities or the surface, except
-for one colour per vertex in OFF. STL also loses the order of vertices.
 """
 
 from __future__ import annotations
@@ -167,10 +164,7 @@ def parse_stl(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
 
 
 def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
-    """Weld corners ``(3 F, 3)`` in order of appearance; return vertices ``(3 F,)`` and first corners ``(V,)``.
-
-    Corners at the same place are welded, and those apart by rounding where the triangles around them leave a crack.
-    """
+    """Weld corners ``(3 F, 3)``, also across cracks by rounding; return vertices ``(3 F,)``, first corners ``(V,)``."""
     points, indices = np.unique(corners + 0.0, axis=0, return_inverse=True)  # + 0.0 turns -0 into 0
     triangles = indices.reshape(-1, 3)
     edges, uses = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0, return_counts=True)

@@ -2,12 +2,8 @@
 
 Sources are label arrays (npz) and the family ``mixseq`` of subsets (USD), both named ``labels``; named sets of faces
 (``groups``), any other family of USD subsets, ``materials``, ``colours``, and skinning weights (``skeleton``).
-``docs/formats.md`` lists them by format.
-
-By default `labels` are preferred, since they were stored as labels. Other sources need at least two labels.
-
-Parts are written as arrays of triangle labels and polygon labels (npz), as subsets of polygons (USD), or as groups of
-polygons (OBJ, Alembic, HDF5). A polygon gets the most frequent label of its triangles.
+``docs/formats.md`` lists them by format. `labels` are preferred, since they were stored as labels. Other sources need
+at least two labels.
 """
 
 from __future__ import annotations
@@ -87,12 +83,10 @@ def read_labels(
     return _choose_labels(file, sources, source)
 
 
-def extract_labels(
-    reader: SequenceReader, source: str | None = None, *, smallest_joint: float = MIN_JOINT_FACE_RATIO
-) -> Labels:
+def extract_labels(reader: SequenceReader, source: str | None = None) -> Labels:
     """Read the labels in the file of an open sequence; see `read_labels`."""
     sources, _ = _read_array(reader.path, reader.header)
-    sources |= _markings_sources(reader, reader.header, smallest_joint)
+    sources |= _markings_sources(reader, reader.header, MIN_JOINT_FACE_RATIO)
     return _choose_labels(reader.path, sources, source)
 
 

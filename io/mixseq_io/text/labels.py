@@ -145,10 +145,7 @@ _MAX_COLOUR_VALUE = 1e6  # limit well above 1, since renderers allow colours abo
 
 
 def labels_from_sets(sets: Sequence[FaceSet], polygons: Polygons) -> Labels:
-    """Label polygons by the face sets that contain them; labels have the order of the sets, `UNNAMED_LABEL` last.
-
-    Polygons in several sets have a label whose name joins the names of the sets by "+".
-    """
+    """Label polygons by the sets that contain them, several joined by +, in their order; `UNNAMED_LABEL` is last."""
     set_ids = {name: index for index, name in enumerate(dict.fromkeys(face_set.name for face_set in sets))}
     labels = np.zeros(len(polygons.counts), dtype=np.int64)
     members: list[tuple[int, ...]] = [()]  # set ids of each label
@@ -226,10 +223,7 @@ def _format_colour(colour: NDArray[np.int64]) -> str:
 
 
 def merge_small_regions(labels: Index, polygons: Polygons, vertex_count: int, min_count: float) -> Index:
-    """Merge regions of fewer than `min_count` polygons into the adjacent label ``(P,)`` with most shared edges.
-
-    The smallest regions are merged first. Regions that are complete connected components of the mesh are unchanged.
-    """
+    """Merge regions below `min_count` polygons, smallest first, into the label of most shared edges, if any."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -1,16 +1,12 @@
 """Read and write map files, which give the source vertex or triangle of every target vertex or triangle.
 
-``.npz``, written and read by `write_map`: arrays ``version`` (1), ``corners``, ``weights``, ``faces``, ``leaders`` and
-``sizes`` of a `Correspondence`, and the checksums ``source`` and ``target`` of both meshes' triangles, which detect
-other meshes. Archives by other programs need ``vertices`` (V',), or ``triangles`` (F',), or both ``corners`` and
-``weights`` (V', 3), as in `mixseq.retargeting.correspond`.
-
-Other files are JSON, or text with one row per line; ``docs/transfer.md`` describes both.
+``.npz`` has the arrays of a `Correspondence`, with checksums of both meshes' triangles, which detect other meshes.
+Archives by other programs need ``vertices`` (V',), or ``triangles`` (F',), or both ``corners`` and ``weights`` (V', 3),
+as in `mixseq.retargeting.correspond`. Other files are JSON, or text with one row per line (``docs/transfer.md``).
 
 If the kind of map is not stated, rows of four or five numbers are barycentric. Rows of one or two numbers are vertices,
-or triangles in ``.tricorrs`` files (Sumner and Popović). Triangle maps use the first source of each target. Comments
-(``#``) and empty lines are skipped. Rows of several numbers may follow a line with the number of rows. Vertices and
-triangles are numbered from 0. A target without a row has no source.
+or triangles in ``.tricorrs`` files (Sumner and Popović). Triangle maps use the first source of each target. Rows of
+several numbers may follow a line with the number of rows. A target without a row has no source.
 """
 
 from __future__ import annotations
@@ -62,12 +58,12 @@ MIN_MAPPED_RATIO = 0.1
 """Smallest mapped fraction of a mesh; a smaller map is probably a list of markers given by mistake."""
 
 
-def read_map(path: PathLike, kind: Kind | None = None) -> MapFile:
+def read_map(path: PathLike) -> MapFile:
     """Read a map file in a format of ``docs/transfer.md``."""
     file = Path(path)
     if file.suffix.lower() == ".npz":
         return _read_npz(file)
-    return MapFile(file, *_read_rows(file, kind), {})
+    return MapFile(file, *_read_rows(file), {})
 
 
 def to_correspondence(stored_map: MapFile, source: RestMesh, target: RestMesh) -> Correspondence:
@@ -184,15 +180,15 @@ def _stored_correspondence(arrays: dict[str, NDArray[Any]], source: RestMesh, ta
     return Correspondence(sizes[0], sizes[1], corners, weights.astype(np.float64), source_triangles, leaders)
 
 
-def _read_rows(file: Path, kind: Kind | None = None) -> tuple[Kind, Float]:
-    """Return rows ``(n, k)`` and their kind: `kind`, else as stated in the file, else inferred from the row length."""
+def _read_rows(file: Path) -> tuple[Kind, Float]:
+    """Return the kind and rows ``(n, k)`` of a map; a kind that the file does not state follows from their length."""
     text = read_text(file, "a map")
     stated, rows = _parse_json(file, text) if file.suffix.lower() == ".json" else _parse_text(file, text)
     if not rows:
         raise FormatError(f"{file} has no rows of a map")
     width = len(rows[0][1])
     short_kind: Kind = "triangles" if file.suffix.lower() == ".tricorrs" else "vertices"
-    kind = kind or stated or ("barycentric" if width > 2 else short_kind)
+    kind = stated or ("barycentric" if width > 2 else short_kind)
     widths = _ROW_WIDTHS[kind]
     for location, row in rows:
         if len(row) != width or width not in widths:

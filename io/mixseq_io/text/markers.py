@@ -1,12 +1,9 @@
 """Read and write markers, which are pairs of vertices of a source and a target mesh, and read contacts.
 
-Files are JSON, YAML, or text with a marker per line; ``docs/transfer.md`` describes all three. Published files for
-Sumner and Popović's meshes have these forms. YAML defines ``12:34`` as a time of day (754 seconds), but here it is read
-as a pair.
-
-The viewer also writes checksums of both meshes, and every marked vertex in the order of a walk over the mesh, by which
-markers are found in files with other numbers: ``"meshes": {"source": object, "target": object}`` in JSON, or a comment
-``# meshes`` with this object. Each has the fields of `NumberedVertices`.
+Files are JSON, YAML, or text with a marker per line; ``docs/transfer.md`` describes all three. YAML defines ``12:34``
+as a time of day (754 seconds), but here it is read as a pair. The viewer also writes the `NumberedVertices` of both
+meshes, by which markers are found in files with other numbers: as ``"meshes": {"source": object, "target": object}`` in
+JSON, or a comment ``# meshes`` with this object.
 
 Contacts are named groups of target vertices that rest on the ground, such as feet. Vertices are numbered from 0.
 """
@@ -46,17 +43,7 @@ def parse_json(file: Path, text: str) -> Any:
 
 
 def read_contacts(path: PathLike) -> dict[str, list[int]]:
-    """Read contacts from a JSON file.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder, "feet.json")
-    ...     _ = file.write_text('{"left": [3, 4], "right": [7]}')
-    ...     read_contacts(file)
-    {'left': [3, 4], 'right': [7]}
-    """
+    """Read contacts from a JSON file, such as ``{"left": [3, 4], "right": [7]}``."""
     file = Path(path)
     groups = parse_json(file, read_text(file, "contacts"))
     if isinstance(groups, dict) and isinstance(groups.get("contacts"), dict):

@@ -27,9 +27,14 @@ from mixseq.errors import FormatError, OutputError
 from mixseq.mesh.polygons import PolygonMatch, Polygons, reversed_winding
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
-from mixseq_io.originals import describe_difference_up_to_winding, is_retimed, match_meshes
 from mixseq_io.reader import warn
-from mixseq_io.scene_meshes import SceneMesh, format_names
+from mixseq_io.scene_meshes import (
+    SceneMesh,
+    describe_difference_up_to_winding,
+    format_names,
+    is_retimed,
+    match_meshes,
+)
 from mixseq_io.surfaces import are_valid_indices
 from mixseq_io.usd.layers import (
     WORLD_SPACE,

@@ -8,9 +8,8 @@ Low rank
     Normals are sums with the same coefficients; their basis vectors are fitted by least squares.
 
 Shaders decode values as :math:`o + s\,p` from a pixel :math:`p` between 0 and 1. PNG stores `p` in 16 bits, or in 8
-bits for plain normals. EXR stores the values, with o = 0 and s = 1. This module writes PNG with zlib, since Pillow
-cannot write three channels of 16 bits. Each PNG row is stored unchanged, or minus the pixels to the left, or minus the
-pixels above, whichever has the smallest sum of magnitudes, as in libpng.
+bits for plain normals. EXR stores the values, with o = 0 and s = 1. PNG is written with zlib, since Pillow cannot write
+three channels of 16 bits; of each row, that filter is stored which has the smallest sum of magnitudes, as in libpng.
 
 A texel represents a vertex with one normal; glTF vertices that differ only by texture coordinates or materials share a
 texel. A *layer* holds one value of every texel, for a frame or for four basis vectors, in several rows of the texture.
@@ -36,7 +35,7 @@ from mixseq.mesh.measures import NO_ORIGIN
 from mixseq.rigging.low_rank import LowRank
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
-from mixseq_io.gltf.codecs import ARRAY_BUFFER, Layout
+from mixseq_io.gltf.buffers import ARRAY_BUFFER, Layout
 from mixseq_io.gltf.new_document import MovingMesh, create_scene
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]

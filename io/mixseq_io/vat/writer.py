@@ -25,7 +25,7 @@ from mixseq.signals.decoding import Decodable, hold_between, largest_distance, q
 from mixseq.signals.fitting import as_motion
 from mixseq.signals.model import Model
 from mixseq_io.files import atomic_folder
-from mixseq_io.gltf.codecs import open_buffer_writer
+from mixseq_io.gltf.buffers import open_buffer_writer
 from mixseq_io.reader import warn
 from mixseq_io.vat.textures import (
     MAX_TEXTURE_SIDE_PIXELS,
@@ -204,10 +204,7 @@ def _encode(
     motion: Decodable | None,
     progress: Progress,
 ) -> _Encoding:
-    """Encode a sequence as textures, plain ones without `max_error`, and measure them.
-
-    The returned sequence is relative to the origin of the texels.
-    """
+    """Encode a sequence, relative to the origin of its texels, as textures, plain without `max_error`; measure them."""
     origin = choose_origin(sequence.points[0])
     if origin.any():
         sequence = sequence.with_points(sequence.points - origin)

@@ -18,7 +18,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 from mixseq.blender.motion import DEFAULT_CACHE_BYTES, FrameCache, ModelCache, Motion, Placement, part_slices
 from mixseq.errors import MixseqError, SettingsError
 from mixseq.signals.model import Model
-from mixseq_io.loading import load
+from mixseq_io.model_files import load
 
 UP_AXES = [(axis, f"{axis} Up", f"{axis} points up in the model") for axis in "XYZ"]
 

@@ -140,7 +140,7 @@ def compress(
         }
         if sequence.body_names[1:] and size is not None:
             raise SettingsError("size is for one body, and the model has several; give max_error or kg")
-        if sequence.body_names[1:] and np.ndim(parts):
+        if sequence.body_names[1:] and not (parts is None or isinstance(parts, int | np.integer)):
             raise SettingsError("labels are for one body, and the model has several; leave out parts to keep their own")
         stages, bodies = StagedProgress(progress, len(sequence.body_names), 100), sequence.frames_of_bodies()
         first, *others = (
@@ -235,8 +235,7 @@ def _with_margin(bound: float, sequence: FrameStore, local: FrameStore) -> float
     return bound - min(1e-9 * bound + margin, bound / 2)
 
 
-_ORIGIN_ROUNDING = 2.0**-50
-"""Largest error of adding an origin in double precision, relative to the largest coordinate."""
+_ORIGIN_ROUNDING = 2.0**-50  # largest error of adding an origin in double precision, relative to the largest coordinate
 
 
 def _total_deviation(sequence: FrameStore) -> float:
@@ -286,8 +285,7 @@ def _search_streams(
     return CompressedSequence(frames.header, parameters, best.groups, best.chunks)
 
 
-MIN_MOTION_LEFT = 0.5
-"""Part of the motion below which a size is warned about: 1 - error / error of the best still mesh."""
+MIN_MOTION_LEFT = 0.5  # part of the motion below which a size is warned about: 1 - error / error of the best still mesh
 
 
 def _measure_errors(

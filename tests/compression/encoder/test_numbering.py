@@ -16,7 +16,7 @@ from mixseq.compression.numbering import cheapest_numbering, find_numbering, obj
 from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import Polygons, match_polygons
 from mixseq.sequence.sequence import MeshSequence
-from mixseq_io.verification import read_compressed
+from mixseq_io.model_files import read_compressed
 from tests.compression.test_renumbering import partition, scrambled, seen
 from tests.meshes import bar, grid
 
@@ -93,13 +93,7 @@ def test_a_size_counts_the_bytes_of_the_order() -> None:
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize(
-    ("name", "most"),
-    [
-        ("horse_gallop", (3.4, 1.1)),
-        ("cheburashka", (6.2, 1.1)),
-    ],
-)
+@pytest.mark.parametrize(("name", "most"), [("horse_gallop", (3.4, 1.1)), ("cheburashka", (6.2, 1.1))])
 def test_real_meshes_take_few_bits(data: Path, name: str, most: tuple[float, float]) -> None:
     sequence: Any = mixseq.read(data / "npz" / f"{name}.npz")
     assert bits(sequence, "vertices") < most[0]

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 imath = pytest.importorskip("imath")
-from alembic3d import AbcCoreAbstract, AbcGeom  # noqa: E402
+from alembic3d import Abc, AbcCoreAbstract, AbcGeom  # noqa: E402
 
 from mixseq.mesh.polygons import Polygons  # noqa: E402
 from mixseq.sequence.sequence import MeshSequence  # noqa: E402
@@ -80,6 +80,12 @@ def add_mesh(
         dress(sample, frame)
         mesh.getSchema().set(sample)
     return mesh
+
+
+def save_mesh(path: Path, *contents: Any, **options: Any) -> None:
+    """Write an archive of one mesh; arguments are those of `add_mesh`."""
+    archive = Abc.OArchive(str(path))
+    add_mesh(archive.getTop(), *contents, **options)
 
 
 def add_transform(parent: Any, name: str, *rows: ArrayLike, sampling: Any = None, inherits: bool = True) -> Any:

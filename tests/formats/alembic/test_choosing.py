@@ -11,15 +11,7 @@ imath = pytest.importorskip("imath")
 from alembic3d import Abc, AbcGeom  # noqa: E402
 
 from mixseq.errors import AmbiguousError, FormatError, MixseqWarning  # noqa: E402
-from tests.formats.alembic.alembic_maker import (  # noqa: E402
-    SQUARE,
-    TRIANGLES,
-    add_mesh,
-    add_transform,
-    load,
-    rising,
-    shift,
-)
+from tests.formats.alembic.alembic_maker import SQUARE, TRIANGLES, add_mesh, add_transform, load, rising, shift  # noqa: E402
 
 
 @pytest.fixture

@@ -29,14 +29,13 @@ from tests.formats.alembic.alembic_maker import (  # noqa: E402
     load,
     positions,
     rising,
+    save_mesh,
     shift,
 )
 
 
 def test_faces_are_turned_counter_clockwise(path: Path) -> None:
-    archive = Abc.OArchive(str(path))
-    add_mesh(archive.getTop(), "square", rising())
-    del archive
+    save_mesh(path, "square", rising())
     got = load(path)
     assert got.polygons.same_as(TRIANGLES)
     np.testing.assert_array_equal(got.points, rising())
@@ -62,9 +61,7 @@ def test_faces_are_turned_counter_clockwise(path: Path) -> None:
     ids=["uniform", "acyclic", "acyclic on a time line", "acyclic with a pre-roll", "uniform and late"],
 )
 def test_times(path: Path, sampling: Callable[[], Any], times: ArrayLike, fps: float) -> None:
-    archive = Abc.OArchive(str(path))
-    add_mesh(archive.getTop(), "square", rising(), sampling())
-    del archive
+    save_mesh(path, "square", rising(), sampling())
     got = load(path)
     np.testing.assert_allclose(got.times, np.asarray(times, np.float64), rtol=1e-15)
     assert got.fps == fps

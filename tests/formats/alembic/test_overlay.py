@@ -17,11 +17,7 @@ from mixseq.errors import MixseqWarning, OutputError, SettingsError  # noqa: E40
 from mixseq.mesh.polygons import Polygons  # noqa: E402
 from mixseq.mesh.surface import Surface  # noqa: E402
 from mixseq.sequence.sequence import MeshSequence  # noqa: E402
-from mixseq_io.alembic.samples import (  # noqa: E402
-    read_imath_sample,
-    sample_selector,
-    sample_times,
-)
+from mixseq_io.alembic.samples import read_imath_sample, sample_selector, sample_times  # noqa: E402
 from tests.formats.alembic.alembic_maker import (  # noqa: E402
     SQUARE,
     TRIANGLES,

@@ -25,6 +25,7 @@ from tests.formats.alembic.alembic_maker import (  # noqa: E402
     positions,
     rising,
     sampled,
+    save_mesh,
 )
 
 
@@ -51,9 +52,7 @@ def test_texture_coordinates(path: Path, scope: Any, places: ArrayLike, indexed:
         else:
             sample.setUVs(AbcGeom.OV2fGeomParamSample(filled(imath.V2fArray, rows), scope))
 
-    archive = Abc.OArchive(str(path))
-    add_mesh(archive.getTop(), "square", rising(), dress=dress)
-    del archive
+    save_mesh(path, "square", rising(), dress=dress)
     uvs = load(path).surface.uvs
     assert uvs is not None
     turned = [2, 1, 0, 5, 4, 3]
@@ -106,9 +105,7 @@ def test_texture_coordinates_that_do_not_fit(path: Path) -> None:
     def dress(sample: Any, frame: int) -> None:
         sample.setUVs(AbcGeom.OV2fGeomParamSample(filled(imath.V2fArray, SQUARE[:, :2]), Scope.kFacevaryingScope))
 
-    archive = Abc.OArchive(str(path))
-    add_mesh(archive.getTop(), "square", rising(), dress=dress)
-    del archive
+    save_mesh(path, "square", rising(), dress=dress)
     with pytest.warns(MixseqWarning, match="texture coordinates of /square do not fit its faces"):
         assert load(path).surface.uvs is None
 
@@ -127,9 +124,7 @@ def test_normals_are_hard_edges(path: Path, scope: Any, normals: ArrayLike, hard
     def dress(sample: Any, frame: int) -> None:
         sample.setNormals(AbcGeom.ON3fGeomParamSample(positions(normals), scope))
 
-    archive = Abc.OArchive(str(path))
-    add_mesh(archive.getTop(), "square", rising(), dress=dress)
-    del archive
+    save_mesh(path, "square", rising(), dress=dress)
     hard_edges = load(path).surface.hard_edges
     assert (hard_edges is not None) == hard
     if hard_edges is not None:  # corners of triangles 0 1 2 and 0 2 3: no vertex's normal is shared by both faces
@@ -155,30 +150,26 @@ def test_face_sets_and_materials(path: Path) -> None:
 
 @pytest.mark.parametrize("scheme", ["catmull-clark", "catmullClark", "loop", "bilinear"])
 def test_subdivision(path: Path, scheme: str) -> None:
-    archive = Abc.OArchive(str(path))
-    add_mesh(
-        archive.getTop(),
+    save_mesh(
+        path,
         "cage",
         rising(),
         subdivided=True,
         dress=lambda sample, _: sample.setSubdivisionScheme(scheme),
     )
-    del archive
     got = load(path)
     assert got.surface.subdivision == scheme.replace("-c", "C")
     assert got.polygons.same_as(TRIANGLES)
 
 
 def test_an_unknown_subdivision(path: Path) -> None:
-    archive = Abc.OArchive(str(path))
-    add_mesh(
-        archive.getTop(),
+    save_mesh(
+        path,
         "cage",
         rising(),
         subdivided=True,
         dress=lambda sample, _: sample.setSubdivisionScheme("doo"),
     )
-    del archive
     with pytest.warns(MixseqWarning, match="/cage is subdivided by 'doo', which is read as Catmull-Clark"):
         assert load(path).surface.subdivision == "catmullClark"
 
@@ -271,9 +262,7 @@ def test_texture_coordinates_that_change_over_time(path: Path) -> None:
         rows = np.full((4, 2), frame, np.float32)
         sample.setUVs(AbcGeom.OV2fGeomParamSample(filled(imath.V2fArray, rows), Scope.kVertexScope))
 
-    archive = Abc.OArchive(str(path))
-    add_mesh(archive.getTop(), "square", rising(), dress=dress)
-    del archive
+    save_mesh(path, "square", rising(), dress=dress)
     with pytest.warns(MixseqWarning, match="texture coordinates of /square that change over time stay"):
         assert load(path).surface.uvs is not None
 

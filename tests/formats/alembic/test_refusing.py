@@ -13,16 +13,7 @@ from alembic3d import Abc, AbcGeom  # noqa: E402
 
 from mixseq.errors import FormatError, InvalidSequenceError, MissingExtraError  # noqa: E402
 from mixseq_io.alembic.reader import open_alembic  # noqa: E402
-from tests.formats.alembic.alembic_maker import (  # noqa: E402
-    SQUARE,
-    add_mesh,
-    filled,
-    load,
-    moving,
-    positions,
-    rising,
-    save,
-)
+from tests.formats.alembic.alembic_maker import SQUARE, add_mesh, filled, load, moving, positions, rising, save  # noqa: E402
 
 
 def test_no_meshes(path: Path) -> None:

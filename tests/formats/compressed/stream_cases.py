@@ -6,13 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.compression.bitstream.compressed_sequence import (
-    CodingParameters,
-    CompressedSequence,
-    TemporalInterpolation,
-)
+from mixseq.compression.bitstream.compressed_sequence import CodingParameters, CompressedSequence, TemporalInterpolation
 from mixseq_io.coded.streams import MAGIC, Stream, StreamIndex, read_index
-from mixseq_io.verification import read_container
+from mixseq_io.model_files import read_container
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 

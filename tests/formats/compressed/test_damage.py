@@ -17,7 +17,7 @@ import mixseq
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError
 from mixseq_io.coded.streams import StreamIndex
-from mixseq_io.verification import compressed_sizes, is_compressed, read_compressed
+from mixseq_io.model_files import compressed_sizes, is_compressed, read_compressed
 from tests.formats.compressed.stream_cases import assert_same, damage, flip, index_of, place_of
 
 pytestmark = pytest.mark.slow

@@ -16,7 +16,7 @@ from mixseq.compression.bitstream.compressed_sequence import Chunk, CompressedSe
 from mixseq.errors import FormatError, OutputError
 from mixseq.signals.bodies import Relation
 from mixseq_io.coded.streams import COMPRESSED_VERSION
-from mixseq_io.verification import compressed_sizes, is_compressed, read_compressed
+from mixseq_io.model_files import compressed_sizes, is_compressed, read_compressed
 from tests.formats.compressed.stream_cases import PARAMETERS, any_bytes, assert_same
 from tests.meshes import bar
 

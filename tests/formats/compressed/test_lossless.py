@@ -16,15 +16,8 @@ from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Origin, Surface, renumber_by_first_use
 from mixseq.sequence.header import SequenceHeader
-from mixseq_io.coded.streams import (
-    pack_leb128,
-    pack_surface,
-    pack_times,
-    unpack_leb128,
-    unpack_surface,
-    unpack_times,
-)
-from mixseq_io.verification import compressed_sizes, read_compressed
+from mixseq_io.coded.streams import pack_leb128, pack_surface, pack_times, unpack_leb128, unpack_surface, unpack_times
+from mixseq_io.model_files import compressed_sizes, read_compressed
 from tests.formats.compressed.stream_cases import any_bytes
 from tests.meshes import tube
 

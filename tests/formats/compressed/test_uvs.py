@@ -15,7 +15,7 @@ from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.mesh.surface import CornerValues, FaceSet, Surface
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.coded.sizes import static_size
-from mixseq_io.verification import compressed_sizes, read_compressed
+from mixseq_io.model_files import compressed_sizes, read_compressed
 from tests.formats.compressed.stream_cases import GOLDEN, damage, index_of
 from tests.meshes import bar
 

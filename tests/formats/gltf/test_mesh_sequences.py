@@ -20,7 +20,7 @@ from mixseq.mesh.surface import CornerValues, FaceSet, Origin, Surface
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.bodies import Relation
 from mixseq.types import FloatArray
-from mixseq_io.verification import compressed_sizes, read_compressed, read_container
+from mixseq_io.model_files import compressed_sizes, read_compressed, read_container
 from tests.formats.compressed.stream_cases import assert_same
 from tests.formats.gltf_files import validate
 from tests.meshes import bar, torus
@@ -197,7 +197,7 @@ def test_stills_may_be_left_out(tmp_path: Path, coded: CompressedSequence, path:
 
 
 def mixseq_coded(path: Path) -> CompressedSequence:
-    from mixseq_io.verification import read_compressed
+    from mixseq_io.model_files import read_compressed
 
     return read_compressed(path)
 
@@ -294,7 +294,7 @@ def test_missing_draco_is_told(tmp_path: Path, coded: CompressedSequence, monkey
 
 
 def test_other_glb_files_are_sequences(tmp_path: Path, sequence: MeshSequence) -> None:
-    from mixseq_io.loading import is_model
+    from mixseq_io.model_files import is_model
 
     file = tmp_path / f"{NAME}.glb"
     mixseq.write(file, bar(6, 12, 3))

@@ -17,14 +17,7 @@ import pytest
 import mixseq
 from mixseq.errors import FormatError
 from mixseq.signals.model import Model
-from tests.formats.models.model_cases import (
-    ATTRIBUTES,
-    DATASETS,
-    EACH_DATASET,
-    assert_equal,
-    replace,
-    with_nan,
-)
+from tests.formats.models.model_cases import ATTRIBUTES, DATASETS, EACH_DATASET, assert_equal, replace, with_nan
 from tests.meshes import bar
 
 pytestmark = pytest.mark.slow

@@ -20,18 +20,7 @@ from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError, Sett
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.usd.stage import find_clips
 from mixseq_io.usd.writer import write_usd
-from tests.formats.usd_maker import (
-    Asset,
-    author_normals,
-    character,
-    lift,
-    load,
-    mesh_at,
-    paint,
-    problems,
-    save,
-    shot,
-)
+from tests.formats.usd_maker import Asset, author_normals, character, lift, load, mesh_at, paint, problems, save, shot
 
 
 @pytest.fixture
