@@ -134,10 +134,11 @@ def _quality_rows(quality: CorrespondenceQuality, diagonal: float) -> list[tuple
     if not math.isfinite(quality.largest_distance):
         distances = "no vertex is near the source"
     facing = f"; {_number(quality.flipped_count, 'triangle')} on its other side" if quality.flipped_count else ""
-    ((name, missed),) = quality.worst_markers(1)
+    worst = quality.worst_marker
+    missed = length_text(float(quality.marker_distances[worst]), diagonal, digits=2)
     return [
         ("matched", f"{_percent(quality.target_coverage)} of the target's area, {distances}{facing}"),
-        ("markers", f"{len(quality.markers)}, at most {length_text(missed, diagonal, digits=2)} off: {name}"),
+        ("markers", f"{len(quality.markers)}, at most {missed} off: {quality.markers.name(worst)}"),
     ]
 
 

@@ -6,8 +6,6 @@ u, plus `SPACING_WEIGHT` times the area of v times the squared distance of v to 
 spread where the surface is flat in this frame. Collapses that change the topology (the link condition), flip a face or
 make a sliver are refused. Vertices of non-manifold edges are kept; border vertices only move along the border.
 
-Libraries (fast-simplification, Open3D) make new vertices of least error, whose positions are defined in one frame.
-
 The faces of a vertex are a linked list of corners ``3 f + k``; a collapse joins two lists. A heap holds half-edges
 ``v -> u`` with the versions of both ends, and outdated entries are skipped. Refused collapses may become valid later,
 so passes over all half-edges are repeated until a pass changes nothing.

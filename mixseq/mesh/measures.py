@@ -31,8 +31,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.rotations import FULL_TURN
 from mixseq.types import Float, FloatArray, IntArray
 
-BOX_ROW_POINTS = 64
-"""Number of points per row in which bounding boxes are computed: NumPy reduces long rows fast, and rows of 3 slowly."""
+BOX_ROW_POINTS = 64  # points per row in which boxes are computed, as NumPy reduces long rows fast and rows of 3 slowly
 
 
 def bounding_box(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -77,10 +76,7 @@ class Diagonal:
             return np.asarray(halfway * np.ldexp(1.0, -self.exponent - half))
 
 
-FAR_DIAGONALS = 4.0
-"""Distance of a mesh from zero, in diagonals, beyond which its points are stored relative to an origin of their own."""
-
-
+FAR_DIAGONALS = 4.0  # distance of a mesh from zero, in diagonals, beyond which its points are relative to an own origin
 NO_ORIGIN: Float = np.zeros(3)  # origin of coordinates that are relative to zero
 
 
@@ -140,8 +136,7 @@ def hard_edges_from_normals(polygons: Polygons, normals: FloatArray) -> NDArray[
     return groups.astype(np.int32)
 
 
-ELEMENTS_PER_BLOCK = 1 << 16
-"""Number of edges, faces or hinges that are measured at once, where temporary arrays are larger than their results."""
+ELEMENTS_PER_BLOCK = 1 << 16  # elements that are measured at once, where temporary arrays exceed their results
 
 
 def element_blocks(count: int, frames: int = 1) -> Iterator[slice]:

@@ -22,8 +22,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index, Mask
 
-DEGENERATE_HEIGHT_RATIO = 1e-4
-"""Ratio of height to longest side up to which a triangle has no area, as its single-precision normal is random."""
+DEGENERATE_HEIGHT_RATIO = 1e-4  # height to longest side without area, as normals in single precision are random
 
 CANCELLED_NORMAL_RATIO = 1e-6
 """Up to this ratio of |sum of face normals| to sum of |face normals|, the normals cancel and a vertex has no normal."""

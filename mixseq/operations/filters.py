@@ -124,10 +124,11 @@ def smooth(model: Model, seconds: Seconds) -> Model:
     """
     if not (np.isfinite(seconds) and seconds > 0):
         raise SettingsError(f"seconds is {seconds}; a positive period is expected")
-    return model.with_motion(
-        smooth_curve(model.time, model.times, seconds),
-        smooth_curve(model.placement, model.times, seconds, SteadyRotation.fit(model.space, model.placement)),
-        smooth_curve(model.correction, model.times, seconds),
+    steady = SteadyRotation.fit(model.space, model.placement)
+    return model.edited(
+        time=smooth_curve(model.time, model.times, seconds),
+        placement=smooth_curve(model.placement, model.times, seconds, steady),
+        correction=smooth_curve(model.correction, model.times, seconds),
     )
 
 

@@ -28,7 +28,7 @@ from scipy.sparse.linalg import splu
 
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.rotations import rotvec_to_matrix
-from mixseq.operations.pose_solvers import PoseChange, PoseSolver, StillSolver
+from mixseq.operations.pose_solvers import HandleSolver, PoseChange, PoseSolver, StillSolver
 from mixseq.operations.sculpt import add_key_shape, weight_sites
 from mixseq.operations.sections import (
     breakpoints,
@@ -51,19 +51,12 @@ from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index
 
-DEFAULT_SOFTNESS = 5e-3
-"""Default softness: distance from a target whose energy is that of one standard deviation of the pose, in diagonals."""
-
-MIN_HANDLES_OF_FREE_BODY = 3
-"""Number of handles, the kept vertices included, from which on bodies move: three points determine a rigid motion."""
-
+DEFAULT_SOFTNESS = 5e-3  # distance from a target whose energy is that of one standard deviation, in diagonals
+MIN_HANDLES_OF_FREE_BODY = 3  # handles from which on bodies move: three points determine a rigid motion
 SIGNAL_TOLERANCE = 1e-4  # largest error of signals between sites, in diagonals
 MAX_SILENT_MISS = 0.01  # distance of a handle from its target above which a warning is given, in diagonals
 RESIDUAL_RADIUS = 0.05  # radius l of the displacement at exact handles, in diagonals
-
-
-MIN_EXTENT_RATIO = 1e-6
-"""Extent of a part along a principal axis below which it has no moment, as a fraction of the largest."""
+MIN_EXTENT_RATIO = 1e-6  # extent of a part along an axis below which it has no moment, as a fraction of the largest
 
 
 class Key(NamedTuple):
@@ -238,31 +231,29 @@ class DraggedPose:
         """Take handles at one time, whose positions will change, and the other arguments of `pose`."""
         kept = _kept_rows(model, keep)
         ((time, key),) = _sort_by_time(model, handles, kept, None).items()
-        is_still = len(model.times) == 1
-        solver: Any = StillSolver if is_still else PoseSolver
+        solver: type[HandleSolver[Any]] = StillSolver if len(model.times) == 1 else PoseSolver
         self._solver = solver(model, key.rows, DEFAULT_SOFTNESS, key.is_free)
-        self._time = () if is_still else (time,)
-        self._kept_targets = key.targets[len(key.targets) - len(kept) :]
+        self._time, self._kept_targets = time, key.targets[len(key.targets) - len(kept) :]
         self._pose = self._solver.unchanged()
-        before = self._solver.points(*self._time, self._pose)
+        before = self._solver.points(time, self._pose)
         self._basis = displacement_basis(model, key.rows, before) if exact else None
 
     def points(self, targets: Float) -> Float:
         """Return the points ``(V, 3)`` with handles at targets ``(n, 3)``."""
         targets = np.concatenate([targets, self._kept_targets])
-        self._pose = self._solver.solve(*self._time, targets, start=self._pose, rounds=1)
-        points = self._solver.points(*self._time, self._pose)
+        self._pose = self._solver.solve(self._time, targets, start=self._pose, rounds=1)
+        points = self._solver.points(self._time, self._pose)
         if self._basis is not None:
             points = points + self._basis @ (targets - self._solver.positions(points))
         return np.asarray(points)
 
     def moved_model(self) -> Model:
         """Return the model with the change of the last pose at all times, which moves all bodies."""
-        moved: Model = self._solver.moved_model(self._pose)
-        return moved
+        assert isinstance(self._solver, PoseSolver)  # stills have a single body
+        return self._solver.moved_model(self._pose)
 
 
-def _reach(solver: PoseSolver | StillSolver, time: float, points: Float, targets: Float, exact: bool) -> Float:
+def _reach(solver: HandleSolver[Any], time: float, points: Float, targets: Float, exact: bool) -> Float:
     """Return the points ``(V, 3)`` deformed so that handles are exact, if asked for; otherwise warn of misses."""
     misses = targets - solver.positions(points)
     if exact:
@@ -281,7 +272,8 @@ def _pose_still(model: Model, keys: dict[float, Key], solvers: Sequence[StillSol
     """Fit a model to a still at its time and to its poses with handles at targets."""
     poses = {float(model.times[0]): model(model.start)}
     for solver, (time, key) in zip(solvers, keys.items(), strict=True):
-        poses[time] = _reach(solver, time, solver.points(solver.solve(key.targets)), key.targets, exact)
+        points = solver.points(time, solver.solve(time, key.targets))
+        poses[time] = _reach(solver, time, points, key.targets, exact)
     times = np.array(sorted(poses))
     header = replace(model.header, times=times, provenance=as_edited(model.header.provenance))
     frames = MeshSequence.from_header(header, np.stack([poses[time] for time in times.tolist()]))

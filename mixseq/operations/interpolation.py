@@ -33,14 +33,7 @@ from mixseq.shells.fitting import ShellReport
 from mixseq.signals.detail import encode_sequence
 from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.making import (
-    SPACE_STAGES,
-    MixedSettings,
-    SpaceOptions,
-    make_space,
-    segment_faces,
-    space_settings,
-)
+from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make_space, segment_faces, space_settings
 from mixseq.types import Float
 
 
@@ -94,8 +87,7 @@ def segment(
     return segmentation.segment(sequence.points, topology, method, parts, settings)
 
 
-WEIGHT_SUM_TOLERANCE = 1e-6
-"""Largest accepted deviation of the sum of weights from one, sufficient for single precision."""
+WEIGHT_SUM_TOLERANCE = 1e-6  # largest accepted deviation of the sum of weights from one, as in single precision
 
 
 @dataclass(frozen=True, eq=False)

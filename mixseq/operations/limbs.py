@@ -45,6 +45,7 @@ from mixseq.mesh.rotations import (
 )
 from mixseq.operations.filters import check_gain
 from mixseq.operations.sections import (
+    add_key_shapes,
     blend_key_poses,
     correction_norm,
     fade_window,
@@ -60,7 +61,6 @@ from mixseq.sequence.frame_rates import Seconds
 from mixseq.signals.bodies import Body
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.signals.pose import PoseMap
 from mixseq.spaces.mixed.mixed_space import MixedSpace, as_mixed
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float, Mask
@@ -118,8 +118,7 @@ class Limb:
         centre = pivot - part @ from_part
         relative = centres[:, self.part_mask] - centres[:, [self.part]]
         centres[:, self.part_mask] = rotate_vectors(quat_to_matrix(turn)[:, None], relative) + centre[:, None]
-        targets = np.concatenate([array.reshape(len(times), -1) for array in (rotations, centres)], axis=1)
-        corrections = self.space.pose_corrections(blend_key_poses(model, times), targets)
+        corrections = self.space.pose_corrections(blend_key_poses(model, times), Poses(rotations, centres))
         turns, reference = (
             array.reshape(len(array), 2, -1, 3)[:, 0] for array in (corrections, model.correction(times[:1]))
         )
@@ -190,10 +189,7 @@ JointPoseEdit = Callable[[Float, Float], Float]
 """Function from times ``(N,)`` and joint poses ``(N, 6)`` to edited joint poses ``(N, 6)``."""
 
 SIGNAL_TOLERANCE = 1e-5  # largest error of signals between sites, in diagonals
-
-MIN_MODE_SIZE_RATIO = 1e-3
-"""Smallest size of the shape modes kept for a held part and its joints, as a fraction of the largest mode."""
-
+MIN_MODE_SIZE_RATIO = 1e-3  # smallest shape mode kept for a held part and its joints, as a fraction of the largest
 MAX_TURN_STEP_RADIANS = 1.0  # largest rotation added to a part between two sites, small enough to resolve whole turns
 DEFAULT_FADE_SECONDS = 0.2  # default duration over which a part comes to rest, and moves off again
 
@@ -280,8 +276,7 @@ def hold(
 
     signal = interpolate_adaptively(held_signal, sites, SIGNAL_TOLERANCE, shape_norm(extended))
     return extended.edited(
-        time=splice(extended, extended.time, signal),
-        correction=splice(extended, model.correction, correction),
+        time=splice(extended, extended.time, signal), correction=splice(extended, model.correction, correction)
     )
 
 
@@ -320,7 +315,6 @@ def _add_limb_modes(model: Model, limb: Limb) -> tuple[Model, Callable[[Float], 
     """Add pose coordinates for the part and its joints only; also return a map from time-signal steps to them."""
     weights, metric = limb.joint_weights() + limb.part_weights(), model.space.shape_weights
     columns = np.flatnonzero(weights * metric)
-    dim, keys = model.pose.matrix.shape
     jacobian = model.pose.matrix @ (model.shapes[:, columns] - model.shapes[0, columns])
     jacobian = jacobian * (weights * metric)[columns]
     frames = model.time(model.times)
@@ -337,13 +331,5 @@ def _add_limb_modes(model: Model, limb: Limb) -> tuple[Model, Callable[[Float], 
             body_weights = (follower[1].joint_weights() + follower[1].part_weights()) * (body.space.shape_weights > 0)
             added += np.linalg.pinv(to_modes) @ (model.pose.matrix @ (body.shapes - body.shapes[0])) * body_weights
         bodies.append(replace(body, shapes=np.concatenate([body.shapes, added])))
-    matrix = np.zeros((dim + rank, keys + rank))
-    matrix[:dim, :keys] = model.pose.matrix
-    matrix[dim:, 0], matrix[dim:, keys:] = -1.0, np.eye(rank)
-    extended = model.edited(
-        time=Curve(model.time.times, np.pad(model.time.values, ((0, 0), (0, rank)))),
-        pose=PoseMap(np.pad(model.pose.offset, (0, rank)), matrix),
-        shapes=np.concatenate([model.shapes, shapes]),
-        bodies=tuple(bodies),
-    )
-    return extended, lambda steps: np.asarray(steps @ to_modes)
+    time = Curve(model.time.times, np.pad(model.time.values, ((0, 0), (0, rank))))
+    return add_key_shapes(model, shapes, time, bodies=tuple(bodies)), lambda steps: np.asarray(steps @ to_modes)

@@ -34,9 +34,10 @@ is constant in a round, and updated by decoding the mesh once.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -54,31 +55,17 @@ from mixseq.mesh.rotations import (
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.spaces.mixed.joint_projection import from_complex_step, to_complex_step
-from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
+from mixseq.spaces.mixed.mixed_space import MixedBlocks
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float, Index
 
-MIN_DEVIATION_RATIO = 1e-6
-"""Standard deviation below which a direction of pose space is a rounding error, as a fraction of the largest."""
-
+MIN_DEVIATION_RATIO = 1e-6  # standard deviation of a direction that is a rounding error, relative to the largest
 JOINT_DEVIATION = 0.5  # rotation of a joint of a still mesh whose energy is 1, in radians
-
-MAX_STEPS, STEP_TOLERANCE, ENERGY_TOLERANCE = 30, 1e-4, 1e-5
-"""Largest number of Levenberg-Marquardt steps; they stop at a step in standard deviations, or a relative decrease."""
-
-START_DAMPING, MAX_DAMPING = 1e-3, 1e8
-"""First damping of steps, and the damping at which no step is left that lowers the energy."""
-
-MAX_PROJECTION_ROUNDS, PROJECTION_TOLERANCE = 3, 1e-5
-"""Largest number of rounds for handles at joints, and the change of their offsets at which they stop, in diagonals."""
+MAX_STEPS, STEP_TOLERANCE, ENERGY_TOLERANCE = 30, 1e-4, 1e-5  # steps, standard deviations, relative decrease
+START_DAMPING, MAX_DAMPING = 1e-3, 1e8  # first damping of steps, and the one at which none lowers the energy
+MAX_PROJECTION_ROUNDS, PROJECTION_TOLERANCE = 3, 1e-5  # rounds for joints, and change of offsets in diagonals
 
 State = TypeVar("State")
-
-
-def _anchored_space(model: Model) -> MixedSpace:
-    if model.mixed.placement == "free":
-        raise SettingsError("the free placement ignores poses of parts; fit with placement='anchored'")
-    return model.mixed
 
 
 def minimise(
@@ -108,6 +95,67 @@ def minimise(
     return state
 
 
+class HandleSolver(ABC, Generic[State]):
+    """Solver for poses of a model from positions of handles, weighted sums of vertices."""
+
+    def __init__(self, model: Model, rows: Sequence[sparse.csr_array], softness: float, is_free: bool) -> None:
+        """Take the weights ``(1, V)`` of every handle, the softness in diagonals, and whether bodies move, too."""
+        self.model, self.rows, self.softness, self.is_free = model, rows, softness, is_free
+        self.space = model.mixed
+        if self.space.placement == "free":
+            raise SettingsError("the free placement ignores poses of parts; fit with placement='anchored'")
+        self._decoded: tuple[State | None, float, Float] = (None, 0.0, np.empty((0, 3)))
+
+    @abstractmethod
+    def unchanged(self) -> State:
+        """Return the pose before the edit."""
+
+    @abstractmethod
+    def positions(self, points: Float) -> Float:
+        """Return the positions ``(n, 3)`` of handles in a mesh ``(V, 3)``."""
+
+    @abstractmethod
+    def _decode(self, time: float, pose: State) -> Float:
+        """Return the points ``(V, 3)`` of a pose at a time."""
+
+    @abstractmethod
+    def _joint_offsets(self, time: float, pose: State) -> Float:
+        """Return the displacements ``(n, 3)`` of handles by the projection of joints, in diagonals."""
+
+    @abstractmethod
+    def _minimise(self, time: float, targets: Float, prior: State, start: State) -> State:
+        """Minimise the energy of skinned handles with targets ``(n, 3)`` in diagonals, starting from a pose."""
+
+    def points(self, time: float, pose: State) -> Float:
+        """Return the decoded points ``(V, 3)`` of a pose at a time; those of the last pose are kept."""
+        if self._decoded[0] is not pose or self._decoded[1] != time:
+            self._decoded = pose, time, self._decode(time, pose)
+        return self._decoded[2]
+
+    def solve(
+        self,
+        time: float,
+        targets: Float,
+        prior: State | None = None,
+        start: State | None = None,
+        rounds: int = MAX_PROJECTION_ROUNDS,
+    ) -> State:
+        """Solve for the pose at a time that moves handles to targets ``(n, 3)``, in the units of the sequence.
+
+        The prior is the likeliest pose, by default the unchanged one. Iterations start from it, or from another pose.
+        One round is enough while handles are dragged, from the pose before.
+        """
+        prior = self.unchanged() if prior is None else prior
+        pose = start or prior
+        offsets = self._joint_offsets(time, pose)
+        for _ in range(rounds):
+            pose = self._minimise(time, targets / self.space.scale - offsets, prior, pose)
+            previous, offsets = offsets, self._joint_offsets(time, pose)
+            if np.abs(offsets - previous).max() <= PROJECTION_TOLERANCE:
+                break
+        return pose
+
+
 class PoseChange(NamedTuple):
     """A change of pose and placement, in the units of its prior."""
 
@@ -115,13 +163,11 @@ class PoseChange(NamedTuple):
     moves: Float  # (B, 6) rotation vectors of bodies in world axes in radians, shifts of their centres in diagonals
 
 
-class PoseSolver:
-    """Solver for poses of a model from positions of handles, weighted sums of vertices."""
+class PoseSolver(HandleSolver[PoseChange]):
+    """Solver for changes of the poses of a model of several frames."""
 
     def __init__(self, model: Model, rows: Sequence[sparse.csr_array], softness: float, is_free: bool) -> None:
-        """Take the weights ``(1, V)`` of every handle, the softness in diagonals, and whether bodies move, too."""
-        self.model, self.rows, self.softness, self.is_free = model, rows, softness, is_free
-        self.space = _anchored_space(model)
+        super().__init__(model, rows, softness, is_free)
         if not len(self.directions):
             raise SettingsError("the model has a single pose, so that there are no others to find by handles")
         self._vertex_ids: Index = np.unique(np.concatenate([row.indices for row in rows]))
@@ -132,7 +178,6 @@ class PoseSolver:
         move_weights = np.ones((self.space.rotation_count if is_free else 0, 6))
         move_weights[:, :3] = self.space.articulation.body_radii[: len(move_weights), None]
         self._weights = np.append(np.ones(len(self.directions)), move_weights)
-        self._decoded: tuple[PoseChange | None, float, Float] = (None, 0.0, np.empty((0, 3)))
 
     @cached_property
     def directions(self) -> Float:
@@ -143,7 +188,7 @@ class PoseSolver:
         return np.asarray(sizes[kept, None] * axes[kept])
 
     def unchanged(self) -> PoseChange:
-        """Return the change that leaves pose and placement as they are."""
+        """Implement `HandleSolver.unchanged`."""
         return PoseChange(np.zeros(len(self.directions)), np.zeros((self.space.rotation_count, 6)))
 
     def placement(self, placement: Float, moves: Float) -> Float:
@@ -169,48 +214,20 @@ class PoseSolver:
         )
 
     def positions(self, points: Float) -> Float:
-        """Return the positions ``(..., n, 3)`` of handles in meshes ``(..., V, 3)``."""
+        """Implement `HandleSolver.positions`, also of several meshes ``(..., V, 3)``."""
         return np.asarray(self._sums @ points[..., self._vertex_ids, :])
 
-    def points(self, time: float, change: PoseChange) -> Float:
-        """Return the decoded points ``(V, 3)`` of a change at a time; those of the last change are kept."""
-        if self._decoded[0] is not change or self._decoded[1] != time:
-            self._decoded = change, time, self.space.decode(self.vectors(time, change))[0]
-        return self._decoded[2]
-
-    def solve(
-        self,
-        time: float,
-        targets: Float,
-        prior: PoseChange | None = None,
-        start: PoseChange | None = None,
-        rounds: int = MAX_PROJECTION_ROUNDS,
-    ) -> PoseChange:
-        """Solve for the change at a time that moves handles to targets ``(n, 3)``, in the units of the sequence.
-
-        The prior is the likeliest change, by default none. Iterations start from it, or from another change. One round
-        is enough while handles are dragged, from the change before.
-        """
-        prior = self.unchanged() if prior is None else prior
-        change, targets = start or prior, targets / self.space.scale
-        offsets = self._joint_offsets(time, change)
-        for _ in range(rounds):
-            change = self._minimise(time, targets - offsets, prior, change)
-            previous, offsets = offsets, self._joint_offsets(time, change)
-            if np.abs(offsets - previous).max() <= PROJECTION_TOLERANCE:
-                break
-        return change
+    def _decode(self, time: float, change: PoseChange) -> Float:
+        return np.asarray(self.space.decode(self.vectors(time, change))[0])
 
     def _joint_offsets(self, time: float, change: PoseChange) -> Float:
-        """Return the displacements ``(n, 3)`` of handles by the projection of joints, in diagonals."""
         projection = self.space.projection
         if not (projection.steps or (projection.share and self.space.joint_faces.any())):
             return np.zeros((len(self.rows), 3))
         skinned = self._sums @ self._skinned.skin(self.vectors(time, change)[:, self._columns])[0]
         return np.asarray(self.positions(self.points(time, change)) / self.space.scale - skinned)
 
-    def _minimise(self, time: float, targets: Float, prior: PoseChange, change: PoseChange) -> PoseChange:
-        """Minimise the energy of skinned handles with targets ``(n, 3)`` in diagonals, starting from a change."""
+    def _minimise(self, time: float, targets: Float, prior: PoseChange, start: PoseChange) -> PoseChange:
         base = self.vectors(time, self.unchanged())[0, self._columns]
         weights, (pose_count, shape_dim) = self._weights, self._shape_steps.shape
         placement = slice(shape_dim, shape_dim + self.space.placement_dim)
@@ -236,7 +253,7 @@ class PoseSolver:
             slopes = (self._sums @ slopes).reshape(len(weights), -1) / self.softness
             return np.concatenate([slopes.T, np.diag(weights)])
 
-        return minimise(change, residuals, jacobian, self._after_step)
+        return minimise(start, residuals, jacobian, self._after_step)
 
     def _move_rates(self, placement: Float) -> Float:
         """Return the rates ``(6 B, P)`` of a placement for rotations and shifts of all bodies."""
@@ -265,12 +282,11 @@ class JointRotations(NamedTuple):
     shifts: Float  # (p, 3) of roots, in diagonals; zero for other parts
 
 
-class StillSolver:
-    """Solver for poses of a model of a single frame from positions of handles, weighted sums of vertices."""
+class StillSolver(HandleSolver[JointRotations]):
+    """Solver for poses of a model of a single frame, which are the same at all times, and likeliest unchanged."""
 
     def __init__(self, model: Model, rows: Sequence[sparse.csr_array], softness: float, is_free: bool) -> None:
-        """Take the weights ``(1, V)`` of every handle, the softness in diagonals, and whether bodies move, too."""
-        self.model, self.rows, self.softness, self.space = model, rows, softness, _anchored_space(model)
+        super().__init__(model, rows, softness, is_free)
         self.tree = self.space.articulation
         if model.bodies:
             raise SettingsError("the model is a still of several bodies; pose one of them, and then give it the others")
@@ -293,44 +309,20 @@ class StillSolver:
         by_part = [row.T.multiply(self.space.skinning_weights) for row in rows]  # (V, p) each
         self._loads = np.stack([each.sum(axis=0) for each in by_part])  # (n, p) weights of parts at handles
         self._moments = np.stack([each.T @ points for each in by_part])  # (n, p, 3) weighted sums of positions
-        self._decoded: tuple[JointRotations | None, Float] = (None, np.empty((0, 3)))
 
     def positions(self, points: Float) -> Float:
-        """Return the positions ``(n, 3)`` of handles in a mesh ``(V, 3)``."""
+        """Implement `HandleSolver.positions`."""
         return np.concatenate([row @ points for row in self.rows])
 
     def unchanged(self) -> JointRotations:
-        """Return the pose of the still mesh."""
+        """Implement `HandleSolver.unchanged`."""
         count = len(self.is_root)
         return JointRotations(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)))
 
-    def solve(
-        self, targets: Float, start: JointRotations | None = None, rounds: int = MAX_PROJECTION_ROUNDS
-    ) -> JointRotations:
-        """Solve for the pose whose handles are at targets ``(n, 3)``, in the units of the sequence.
+    def _joint_offsets(self, time: float, pose: JointRotations) -> Float:
+        return np.asarray(self.positions(self.points(time, pose)) / self.space.scale - self.skin(pose).sum(axis=1))
 
-        Iterations start from the still mesh, or from another pose, as those of `PoseSolver.solve`.
-        """
-        pose = start or self.unchanged()
-        offsets = self._joint_offsets(pose)
-        for _ in range(rounds):
-            pose = self._minimise(targets / self.space.scale - offsets, pose)
-            previous, offsets = offsets, self._joint_offsets(pose)
-            if np.abs(offsets - previous).max() <= PROJECTION_TOLERANCE:
-                break
-        return pose
-
-    def _joint_offsets(self, pose: JointRotations) -> Float:
-        """Return the displacements ``(n, 3)`` of handles by the projection of joints, in diagonals."""
-        return np.asarray(self.positions(self.points(pose)) / self.space.scale - self.skin(pose).sum(axis=1))
-
-    def points(self, pose: JointRotations) -> Float:
-        """Return the projected points ``(V, 3)`` of a pose, in the units of the sequence; the last are kept."""
-        if self._decoded[0] is not pose:
-            self._decoded = pose, self._decode(pose)
-        return self._decoded[1]
-
-    def _decode(self, pose: JointRotations) -> Float:
+    def _decode(self, time: float, pose: JointRotations) -> Float:
         rotations, shifts = self.motions(pose)
         centres = rotate_vectors(rotations, self.tree.rest_centres) + shifts
         world = Poses(matrix_to_quat(rotations)[None], centres[None])
@@ -342,10 +334,8 @@ class StillSolver:
 
     def motions(self, pose: JointRotations) -> tuple[Float, Float]:
         """Return the motions ``x -> R x + t`` of parts: rotations ``(p, 3, 3)`` and shifts ``(p, 3)`` in diagonals."""
-        rotations, shifts = (
-            pose.rotations.copy(),
-            pose.shifts + self.pivots - rotate_vectors(pose.rotations, self.pivots),
-        )
+        rotations = pose.rotations.copy()
+        shifts = pose.shifts + self.pivots - rotate_vectors(pose.rotations, self.pivots)
         for part in self._order[self.is_root.sum() :]:
             parent = self.tree.parents[part]
             shifts[part] = rotations[parent] @ shifts[part] + shifts[parent]
@@ -361,11 +351,8 @@ class StillSolver:
         """Return the axes ``(p, 3, 3)`` in which parts rotate."""
         return np.where(self.is_root[:, None, None], np.eye(3), self.motions(pose)[0][self.tree.parents])
 
-    def _minimise(self, targets: Float, pose: JointRotations) -> JointRotations:
-        """Minimise the energy of skinned handles with targets ``(n, 3)`` in diagonals, starting from a pose.
-
-        Variables are rotation vectors about pivots, in world axes, and shifts of roots.
-        """
+    def _minimise(self, time: float, targets: Float, prior: JointRotations, start: JointRotations) -> JointRotations:
+        """Implement `HandleSolver._minimise`; variables are rotation vectors in world axes, and shifts of roots."""
         count, root_count = len(self.is_root), int(self.is_root.sum())
 
         def residuals(pose: JointRotations) -> Float:
@@ -381,11 +368,8 @@ class StillSolver:
             by_handle, own = result[: len(targets)], result[len(targets) :]
             by_handle[:, :, :count] = -_cross_matrices(sums - loads[..., None] * pivots).swapaxes(1, 2) / self.softness
             by_handle[:, :, count:] = np.einsum("nb,ac->nabc", loads[:, self.is_root], np.eye(3)) / self.softness
-            axes = np.append(
-                self._weights[:, None, None] * self._parent_rotations(pose),
-                np.tile(np.eye(3), (root_count, 1, 1)),
-                axis=0,
-            )
+            turn_axes = self._weights[:, None, None] * self._parent_rotations(pose)
+            axes = np.append(turn_axes, np.tile(np.eye(3), (root_count, 1, 1)), axis=0)
             own[np.arange(len(axes)), :, np.arange(len(axes))] = axes.swapaxes(1, 2)
             return result.reshape(-1, 3 * (count + root_count))[:, self._is_variable]
 
@@ -398,7 +382,7 @@ class StillSolver:
             shifts[self.is_root] += root_shifts
             return JointRotations(rotvec_to_matrix(in_axes) @ pose.rotations, shifts)
 
-        return minimise(pose, residuals, jacobian, after_step)
+        return minimise(start, residuals, jacobian, after_step)
 
 
 def _cross_matrices(vectors: Float) -> Float:

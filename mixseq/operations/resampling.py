@@ -64,10 +64,7 @@ class Resampling:
             done += len(points)
 
 
-END_TOLERANCE = 0.05
-"""Largest time after the end, in frames, of a last frame that shows the pose at the end, as of 24 fps at 23.976."""
-
-
+END_TOLERANCE = 0.05  # largest time after the end, in frames, of a last frame with its pose, as of 24 fps at 23.976
 MAX_SHUTTER_SAMPLES = 64  # largest number of samples per frame
 
 

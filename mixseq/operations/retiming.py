@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count, pairwise
 from pathlib import Path
@@ -27,13 +27,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator, PPoly
 
 from mixseq.errors import FormatError, SettingsError
-from mixseq.operations.sections import (
-    breakpoints,
-    interpolate_adaptively,
-    merge_sites,
-    signal_norms,
-    strictly_between,
-)
+from mixseq.operations.sections import breakpoints, interpolate_adaptively, merge_sites, signal_norms, strictly_between
 from mixseq.runtime.public import FileOr, public
 from mixseq.runtime.text_files import read_text
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_frame
@@ -43,12 +37,8 @@ from mixseq.signals.detail import DeviationNorm
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
-SIGNAL_TOLERANCE = 2e-6
-"""Largest error of signals between sites, in diagonals; vertices in joints may have many times larger errors."""
-
-KINK_SITE_COUNT = 10
-"""Number of sites on each side of a kink; their distances double up to half the distance to the next key."""
-
+SIGNAL_TOLERANCE = 2e-6  # largest error of signals between sites, in diagonals; vertices in joints may have larger ones
+KINK_SITE_COUNT = 10  # sites on each side of a kink, whose distances double up to half the distance to the next key
 NEGLIGIBLE_TIME = 1e-100  # absolute value in seconds below which source times are rounded to zero
 
 
@@ -202,7 +192,8 @@ def retime(model: Model, keys: FileOr[ArrayLike], smooth: bool = True) -> Model:
         _compose(model, curve, retiming, kink_sites, norm)
         for curve, norm in zip(model.curves, signal_norms(model), strict=True)
     )
-    return model.with_motion(time, placement, correction, model.header.with_times(frames))
+    header = model.header.with_times(frames)
+    return model.edited(header=header, time=time, placement=placement, correction=correction)
 
 
 def _compose(model: Model, curve: Curve, retiming: Retiming, kink_sites: Float, norm: DeviationNorm) -> Curve:
@@ -264,8 +255,8 @@ def parse_toml(file: Path, text: str) -> dict[str, Any]:
     raise FormatError(f"{file} is not a TOML file: its tables or lists are nested too deeply")
 
 
-CsvLines = list[tuple[int, list[str]]]
-"""Lines of a CSV file, each with its line number and fields."""
+Point = tuple[str, float, float]
+"""A point of a retiming: its place in the file, the output time and the source time."""
 
 Unit = Literal["seconds", "frames"]
 
@@ -299,20 +290,9 @@ class RetimingKeys(NamedTuple):
         return np.asarray(self.points / rates)
 
 
-class _FilePoint(NamedTuple):
-    """A point of a retiming, and its location in the file."""
-
-    location: str
-    output: float
-    source: float
-
-
 @public
 def read_retiming(
-    path: str | os.PathLike[str],
-    smooth: bool = True,
-    output_fps: float | None = None,
-    source_fps: float | None = None,
+    path: str | os.PathLike[str], smooth: bool = True, output_fps: float | None = None, source_fps: float | None = None
 ) -> Retiming:
     """Read a retiming from a text file.
 
@@ -352,21 +332,19 @@ def read_retiming_keys(path: str | os.PathLike[str]) -> RetimingKeys:
         unit = check_unit(data.pop("unit", None), f"{file}")
         points = list(_toml_points(file, data))
     else:
-        unit, lines = _csv_lines(file, text)
-        points = list(_csv_points(file, lines))
-    for before, point in zip([None, *points], points, strict=False):
-        if not (np.isfinite(point.output) and np.isfinite(point.source)):
-            times = f"{point.output:g}, {point.source:g}"
-            raise FormatError(f"{file}, {point.location}: the times {times} are not finite")
-        if before is not None and point.output <= before.output:
+        unit, points = _csv_points(file, text)
+    for (before_place, before, _), (place, output, source) in pairwise([("", -np.inf, 0.0), *points]):
+        if not np.isfinite([output, source]).all():
+            raise FormatError(f"{file}, {place}: the times {output:g}, {source:g} are not finite")
+        if output <= before:
             raise FormatError(
-                f"{file}, {point.location}: the output time {point.output:g} is not after {before.output:g} of "
-                f"{before.location}; output times must increase"
+                f"{file}, {place}: the output time {output:g} is not after {before:g} of {before_place}; output times "
+                "must increase"
             )
     if len(points) < 2:
         raise FormatError(f"{file} has {len(points)} points; a retiming needs two or more")
-    places = [f"{file}, {point.location}" for point in points]
-    return RetimingKeys(np.array([[point.output, point.source] for point in points]), unit, places)
+    places = [f"{file}, {place}" for place, *_ in points]
+    return RetimingKeys(np.array([times for _, *times in points]), unit, places)
 
 
 def check_unit(unit: object, where: str) -> Unit | None:
@@ -376,25 +354,23 @@ def check_unit(unit: object, where: str) -> Unit | None:
     return unit
 
 
-def _csv_lines(file: Path, text: str) -> tuple[Unit | None, CsvLines]:
-    """Return the unit from the first line, if any, and all other non-empty lines of a CSV file."""
+def _csv_points(file: Path, text: str) -> tuple[Unit | None, list[Point]]:
+    """Return the unit from the first line of a CSV file, if any, and the points of all other non-empty lines."""
     lines = [
         (number, [field.strip() for field in line.partition("#")[0].split(",")])
         for number, line in enumerate(text.splitlines(), start=1)
         if line.partition("#")[0].strip()
     ]
-    name, equals, unit = lines[0][1][0].partition("=") if lines else ("", "", "")
-    if not equals or name.strip().lower() != "unit":
-        return None, lines
-    return check_unit(unit.strip().strip("\"'"), f"{file}, line {lines[0][0]}"), lines[1:]
-
-
-def _csv_points(file: Path, lines: CsvLines) -> Iterable[_FilePoint]:
+    name, equals, text = lines[0][1][0].partition("=") if lines else ("", "", "")
+    unit: Unit | None = None
+    if equals and name.strip().lower() == "unit":
+        unit = check_unit(text.strip().strip("\"'"), f"{file}, line {lines.pop(0)[0]}")
     names = [name.lower() for name in lines[0][1]] if lines else []
     if sorted(names) == ["output", "source"]:
         del lines[0]
     else:
         names = ["output", "source"]
+    points = []
     for number, fields in lines:
         try:
             times = dict(zip(names, map(float, fields), strict=True))
@@ -403,10 +379,11 @@ def _csv_points(file: Path, lines: CsvLines) -> Iterable[_FilePoint]:
                 f"{file}, line {number}: {','.join(fields)[:40]!r} is not a point of a retiming; two times, "
                 "output,source, are expected"
             ) from None
-        yield _FilePoint(f"line {number}", **times)
+        points.append((f"line {number}", times["output"], times["source"]))
+    return unit, points
 
 
-def _toml_points(file: Path, data: dict[str, Any]) -> Iterable[_FilePoint]:
+def _toml_points(file: Path, data: dict[str, Any]) -> Iterator[Point]:
     tables = data.get("key")
     if data.keys() == {"output", "source"} and all(isinstance(times, list) for times in data.values()):
         if len(data["output"]) != len(data["source"]):
@@ -425,4 +402,4 @@ def _toml_points(file: Path, data: dict[str, Any]) -> Iterable[_FilePoint]:
             raise FormatError(f"{file}, key {number}: an output and a source are expected, and nothing else")
         if not all(type(time) in (int, float) for time in table.values()):
             raise FormatError(f"{file}, key {number}: the output or the source is not a time")
-        yield _FilePoint(f"key {number}", float(table["output"]), float(table["source"]))
+        yield f"key {number}", float(table["output"]), float(table["source"])

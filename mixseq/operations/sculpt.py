@@ -29,6 +29,7 @@ from mixseq.compression.numbering import match_vertices
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.operations.sections import (
+    add_key_shapes,
     breakpoints,
     fade_window,
     interpolate_adaptively,
@@ -43,18 +44,10 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.signals.pose import PoseMap
 from mixseq.types import Float
 
 MIN_DISPLACEMENT = 1e-3  # displacement above which a vertex counts as moved, in diagonals
 MAX_MOVED_RATIO = 0.9  # fraction of moved vertices above which an edit causes a warning
-
-
-def encode_edit(model: Model, time: float, points: ArrayLike | MeshSequence) -> Float:
-    """Return the key shape difference ``(S,)`` of edited points ``(V, 3)`` at a time."""
-    edited, original = check_edited_points(points, model.header), model(time)
-    _warn_of_large_edit(original, edited, time)
-    return model.space.shape_difference(model.curve([time])[0], original, edited)
 
 
 def check_edited_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> Float:
@@ -96,7 +89,7 @@ def _warn_of_large_edit(original: Float, edited: Float, time: float) -> None:
             f"{moved_count:,} of {len(edited):,} vertices moved, by up to {distances.max():.2g} diagonals; is the mesh "
             f"the frame at {time:g} s, in the axes and units of the model?",
             MixseqWarning,
-            stacklevel=5,
+            stacklevel=4,
         )
 
 
@@ -111,9 +104,7 @@ def _edges(polygons: Polygons) -> set[tuple[int, int]]:
 
 Where = Literal["everywhere", "window", "similar"]
 
-DEFAULT_RADIUS = 0.25
-"""Default radius of similarity, as a fraction of the shape-space distance to the least similar shape."""
-
+DEFAULT_RADIUS = 0.25  # default radius of similarity, as a fraction of the distance to the least similar shape
 WEIGHT_TOLERANCE = 1e-3  # largest error of the sampled weight between sites
 
 
@@ -155,14 +146,16 @@ def sculpt(
     points = cast("ArrayLike | MeshSequence", points)
     _check_settings(where, start, end, radius)
     time = snap_time(model, time)
-    difference = encode_edit(model, time, points)
+    edited, original = check_edited_points(points, model.header), model(time)
+    _warn_of_large_edit(original, edited, time)
+    difference = model.space.shape_difference(model.curve([time])[0], original, edited)
     if where == "window":
-        return add_key_shape(model, difference, _window_weight(model, time, start, end))
-    if where == "similar":
-        return add_key_shape(
-            model, difference, _similarity_weight(model, time, DEFAULT_RADIUS if radius is None else radius)
-        )
-    return add_key_shape(model, difference, Curve(model.time.times, np.ones((len(model.time.times), 1))))
+        weight = _window_weight(model, time, start, end)
+    elif where == "similar":
+        weight = _similarity_weight(model, time, DEFAULT_RADIUS if radius is None else radius)
+    else:
+        weight = Curve(model.time.times, np.ones((len(model.time.times), 1)))
+    return add_key_shape(model, difference, weight)
 
 
 def _check_settings(where: Where, start: float | None, end: float | None, radius: float | None) -> None:
@@ -180,17 +173,8 @@ def _check_settings(where: Where, start: float | None, end: float | None, radius
 
 def add_key_shape(model: Model, difference: Float, weight: Curve) -> Model:
     """Add a key shape with a difference ``(S,)`` and a weight curve; its sites include those of the time signal."""
-    row = np.zeros((1, len(model.shapes) + 1))
-    row[0, 0], row[0, -1] = -1.0, 1.0
-    sites = weight.times
-    return model.edited(
-        time=Curve(sites, np.concatenate([model.time(sites), weight.values], axis=1)),
-        pose=PoseMap(
-            np.append(model.pose.offset, 0.0),
-            np.concatenate([np.pad(model.pose.matrix, ((0, 0), (0, 1))), row]),
-        ),
-        shapes=np.concatenate([model.shapes, model.shapes[:1] + difference]),
-    )
+    time = Curve(weight.times, np.concatenate([model.time(weight.times), weight.values], axis=1))
+    return add_key_shapes(model, model.shapes[:1] + difference, time)
 
 
 def _window_weight(model: Model, time: float, start: float | None, end: float | None) -> Curve:

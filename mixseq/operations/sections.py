@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -109,12 +109,8 @@ def merge_sites(edges: Float, knots: Float, breaks: ArrayLike = ()) -> Float:
     inner = inner[(np.abs(inner[:, None] - edges) > MIN_KNOT_SPACING_RATIO * span).all(axis=1)]
     if len(inner):
         splines = pairwise([edges[0], *inner, edges[-1]])
-        return np.concatenate(
-            [
-                merge_sites(np.array([a, *strictly_between(edges, a, b), b]), strictly_between(knots, a, b))
-                for a, b in splines
-            ]
-        )
+        pairs = ((np.array([a, *strictly_between(edges, a, b), b]), strictly_between(knots, a, b)) for a, b in splines)
+        return np.concatenate([merge_sites(*pair) for pair in pairs])
     knots = np.unique(knots)
     min_distance = MIN_KNOT_SPACING_RATIO * span / (len(edges) + len(knots))
     after = np.clip(np.searchsorted(edges, knots), 1, len(edges) - 1)
@@ -210,10 +206,7 @@ def signal_norms(model: Model) -> tuple[DeviationNorm, DeviationNorm, DeviationN
 
 
 OFFSET_KNOT_RATIOS = np.array([1.0, 2.0, 3.0]) / 3.0  # ends of the three cubics of an offset, as fractions of the fade
-
-KNOT_SNAP_RATIO = 0.02
-"""Distance, as a fraction of the fade, within which window knots snap to a curve's knot, as close knots lose digits."""
-
+KNOT_SNAP_RATIO = 0.02  # distance, in fades, within which window knots snap to knots, as close knots lose digits
 MIN_FADE_RATIO = 1e-6  # shortest allowed fade, as a fraction of the longest, so that knots are distinct in float64
 
 
@@ -342,7 +335,7 @@ def map_times(model: Model, offset: float, scale: float = 1.0) -> Model:
     times = scale * model.times + offset
     time, placement, correction = (map_curve_times(curve, offset, scale) for curve in model.curves)
     header = model.header.with_times(times if scale > 0 else times[::-1])
-    return model.with_motion(time, placement, correction, header)
+    return model.edited(header=header, time=time, placement=placement, correction=correction)
 
 
 def join_models(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Model:
@@ -355,11 +348,11 @@ def join_models(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Mode
         reference = before.curve([before.end])[0]
         curve = align_quaternion_signs(model.space, model.placement, start, reference)
         placements.append(CurveSection(curve, start, end))
-    return first.with_motion(
-        join_curves([CurveSection(model.time, start, end) for model, start, end in sections], seams),
-        join_curves(placements, seams),
-        join_curves([CurveSection(model.correction, start, end) for model, start, end in sections], seams),
-        first.header.with_times(merge_frame_times(sections)),
+    return first.edited(
+        header=first.header.with_times(merge_frame_times(sections)),
+        time=join_curves([CurveSection(model.time, start, end) for model, start, end in sections], seams),
+        placement=join_curves(placements, seams),
+        correction=join_curves([CurveSection(model.correction, start, end) for model, start, end in sections], seams),
     )
 
 
@@ -406,6 +399,15 @@ def _shape_signs(space: ShapeSpace, shapes: Float, sections: Sequence[ModelSecti
         before_sign = signs[number, space.shape_dim - space.pose_dim :]
         signs[number + 1, space.shape_dim - space.pose_dim :] = space.quaternion_signs(poses, before_sign * reference)
     return signs
+
+
+def add_key_shapes(model: Model, shapes: Float, time: Curve, **changes: Any) -> Model:
+    """Add key shapes ``(n, S)``, whose weights are the last n coordinates of a new time signal."""
+    (dim, keys), count = model.pose.matrix.shape, len(shapes)
+    matrix = np.pad(model.pose.matrix, ((0, count), (0, count)))
+    matrix[dim:, 0], matrix[dim:, keys:] = -1.0, np.eye(count)
+    pose = PoseMap(np.pad(model.pose.offset, (0, count)), matrix)
+    return model.edited(time=time, pose=pose, shapes=np.concatenate([model.shapes, shapes]), **changes)
 
 
 def blend_key_poses(model: Model, times: ArrayLike) -> Float:

@@ -29,7 +29,7 @@ from scipy.spatial.distance import cdist
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.measures import edge_lengths, element_blocks
 from mixseq.mesh.topology import Topology
-from mixseq.operations.timeline import cut, shift
+from mixseq.operations.timeline import cut
 from mixseq.operations.transitions import match_spaces
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import FileOr, public
@@ -40,10 +40,7 @@ from mixseq.signals.model import Model
 from mixseq.types import Float
 
 WINDOW_SAMPLES = 5  # number of poses that are compared in a window
-
-MAX_BLENDED_VERTICES = 1 << 21
-"""Number of vertices of all blends whose strain is measured, those of least distance first; takes about a second."""
-
+MAX_BLENDED_VERTICES = 1 << 21  # vertices of all blends whose strain is measured, nearest first, in about a second
 MIN_EDGE_LENGTH = 1e-6  # length in diagonals below which edges of blends are not measured
 
 
@@ -107,7 +104,7 @@ def fit_shots(shots: Sequence[MeshSequence], **settings: Any) -> tuple[Model, ..
     sections = []
     for shot, start in zip(shots, starts, strict=False):
         duration = shot.times[-1] - shot.times[0]
-        section = shift(cut(model, start, start + duration), shot.times[0] - start)
+        section = cut(model, start, start + duration, at=shot.times[0])
         sections.append(replace(section, header=replace(section.header, name=shot.name, fps=shot.fps)))
     return tuple(sections)
 

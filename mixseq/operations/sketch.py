@@ -9,10 +9,8 @@ The weights are the cardinal functions of interpolation by a constant and radial
 
 .. math:: a + \sum_j b_j \sqrt{|y - y_j|^2 + (\varepsilon d_j)^2}, \qquad \sum_j b_j = 0,
 
-with the distance :math:`d_j` from frame j to its nearest neighbour. These multiquadrics are cones with rounded tips.
-Cones (:math:`\varepsilon = 0`) have almost no negative weights, but a kink at every frame. Rounder functions, such as
-thin plates, are slightly more accurate where the embedding determines the motion. They overshoot badly where paths
-cross or frames nearly meet. As :math:`\sum b_j = 0`, weights stay bounded for distant y.
+with the distance :math:`d_j` from frame j to its nearest neighbour. These multiquadrics are cones with rounded tips,
+which have few negative weights. As :math:`\sum b_j = 0`, weights stay bounded for distant y.
 
 A drag moves a point of the time curve, and the motion around it follows. Pose and correction at a position,
 :math:`c^*(y)`, are interpolated by the same weights from the dragged point and from frames spread over the plane. A
@@ -63,10 +61,7 @@ from mixseq.types import Float, Index
 
 TIP_RADIUS_RATIO = 0.25  # radius of the rounded tip of a cone, as a fraction of the distance to the nearest frame
 MIN_SPACING_RATIO = 1e-6  # distance up to which two frames count as one position, as a fraction of the embedding's size
-
-MAX_DISTANCE_RATIO = 0.5
-"""Distance of a curve from the nearest frame above which a warning is given, as a fraction of the embedding's size."""
-
+MAX_DISTANCE_RATIO = 0.5  # distance from the nearest frame that is warned of, as a fraction of the embedding's size
 SIGNAL_TOLERANCE = 1e-4  # largest error of signals between sites, in diagonals
 
 
@@ -122,7 +117,7 @@ def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | Non
         interpolate_adaptively(blend(curve(times)), path.times, SIGNAL_TOLERANCE, norm)
         for curve, norm in zip(model.curves, signal_norms(model), strict=True)
     )
-    return model.with_motion(time, placement, correction, header)
+    return model.edited(header=header, time=time, placement=placement, correction=correction)
 
 
 def cardinal_weights(positions: Float) -> Callable[[Float], Float]:
@@ -179,7 +174,10 @@ def _distinct_frames(model: Model, positions: Float) -> Index:
         representatives[frame] = frame if first is None else first
         if first is None:
             distinct.append(frame)
-    hidden_mask = _frame_distances(model, representatives) > SIGNAL_TOLERANCE
+    points, placements = model.time(model.times), model.placement(model.times)
+    placement_distances = placement_norm(model)(placements - placements[representatives])
+    distances = np.maximum(shape_norm(model)(points - points[representatives]), placement_distances)
+    hidden_mask = distances > SIGNAL_TOLERANCE
     if hidden_mask.any():
         warnings.warn(
             f"{np.count_nonzero(hidden_mask)} frames share their position in the embedding with an earlier frame that "
@@ -188,13 +186,6 @@ def _distinct_frames(model: Model, positions: Float) -> Index:
             stacklevel=4,
         )
     return np.array(distinct, dtype=np.int64)
-
-
-def _frame_distances(model: Model, others: Index) -> Float:
-    """Return distances ``(T,)`` in shape and placement of frames from the frames `others` ``(T,)``, in diagonals."""
-    points, placements = model.time(model.times), model.placement(model.times)
-    shape_distances = shape_norm(model)(points - points[others])
-    return np.maximum(shape_distances, placement_norm(model)(placements - placements[others]))
 
 
 def _warn_if_far(path: Curve, positions: Float) -> None:
@@ -214,12 +205,8 @@ def _warn_if_far(path: Curve, positions: Float) -> None:
 DEFAULT_REACH_RATIO = 1 / 8  # default reach of a drag, as a fraction of the duration
 MIN_REACH_FRAMES = 2  # shortest default reach, in frames
 MAX_DRAG_FRAMES = 64  # largest number of frames used to interpolate a dragged pose
-
-MAX_SLOPE_RATIO = 2.0
-"""Largest ratio of pose-space distance to plane distance between two of these frames, as a multiple of the mean."""
-
-DROP_DISTANCE_RATIO = 1e-3
-"""Distance within which a dragged point snaps to a frame, as a fraction of the largest distance in the plane."""
+MAX_SLOPE_RATIO = 2.0  # largest ratio of distances in pose space and in the plane, as a multiple of the mean
+DROP_DISTANCE_RATIO = 1e-3  # distance within which a point snaps to a frame, as a fraction of the largest
 
 
 @public

@@ -179,12 +179,7 @@ def cut(model: Model, start: Seconds, end: Seconds, at: Seconds | None = None) -
 
 @public
 def repeat(
-    model: Model,
-    start: Seconds,
-    end: Seconds,
-    times: int = 2,
-    fade: Seconds | None = None,
-    travel: bool = False,
+    model: Model, start: Seconds, end: Seconds, times: int = 2, fade: Seconds | None = None, travel: bool = False
 ) -> Model:
     """Repeat a section of a model.
 

@@ -41,12 +41,13 @@ from mixseq.operations.timeline import cut, ground_drift, ground_position, trans
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, Seconds
-from mixseq.sequence.sequence import load_frames
+from mixseq.sequence.sequence import FrameStore, MeshSequence, load_frames
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import Detail, build_model, encode_sequence
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.temporal import Timing
 from mixseq.types import Float
 
 
@@ -64,10 +65,7 @@ def into(model: Model, space: ShapeSpace) -> Model:
     space : ShapeSpace
         A space of the same mesh, in the same units.
     """
-    if model.space is space:
-        return model
-    with one_blas_thread():
-        return build_model(encode_sequence(model.sample(), space, timings=[model.timing]), Detail())
+    return model if model.space is space else _encode(model.sample(), space, model.timing)
 
 
 def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
@@ -78,7 +76,8 @@ def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
     as pose space. Further bodies of the first model stay if it has all key shapes.
     """
     second = _encode_like(second, first)
-    if _same_shapes(first, second):
+    arrays = ((model.shapes, model.pose.offset, model.pose.matrix) for model in (first, second))
+    if all(a is b or np.array_equal(a, b) for a, b in zip(*arrays, strict=True)):
         return first, replace(second, pose=first.pose, shapes=first.shapes, bodies=first.bodies)
     if first.bodies:
         raise SettingsError(
@@ -102,11 +101,6 @@ def _key_weight_signal(model: Model, start: int, count: int) -> Curve:
     return Curve(model.time.times, weights[:, 1:])
 
 
-def _same_shapes(first: Model, second: Model) -> bool:
-    arrays = ((model.shapes, model.pose.offset, model.pose.matrix) for model in (first, second))
-    return all(a is b or np.array_equal(a, b) for a, b in zip(*arrays, strict=True))
-
-
 def _encode_like(model: Model, first: Model) -> Model:
     """Return a model in the space of another one, and with its numbers of vertices if those of the mesh differ."""
     a, b = first.header, model.header
@@ -118,10 +112,13 @@ def _encode_like(model: Model, first: Model) -> Model:
             f"{a.name!r} has {a.vertex_count} vertices, {b.name!r} {b.vertex_count}, or other faces; two models of one "
             "mesh are needed"
         )
-    frames = with_mesh_of(model.sample(), a, numbering.vertices)
+    frames = load_frames(with_mesh_of(model.sample(), a, numbering.vertices))
+    return _encode(frames, first.space, model.timing)
+
+
+def _encode(frames: FrameStore | MeshSequence, space: ShapeSpace, timing: Timing) -> Model:
     with one_blas_thread():
-        encoded = encode_sequence(load_frames(frames), first.space, timings=[model.timing])
-        return build_model(encoded, Detail())
+        return build_model(encode_sequence(frames, space, timings=[timing]), Detail())
 
 
 SITES_PER_BLENDED_KNOT = 8  # number of sites of an approximating spline per knot of the curve that the spline replaces
@@ -152,8 +149,7 @@ def concatenate(a: FileOr[Model], b: FileOr[Model], fade: Seconds | None = None,
     SettingsError
         If a model has no duration, the fade is out of range, or `travel` is set and the space has no placement.
     """
-    a = cast("Model", a)
-    b = cast("Model", b)
+    a, b = cast("Model", a), cast("Model", b)
     a, b = match_spaces(a, b)
     start, seam = snap_section(a, a.start, a.end)
     first, last = snap_section(b, b.start, b.end)
@@ -197,8 +193,7 @@ def transition(
     SettingsError
         If a time is out of range, or `travel` is set and the space has no placement.
     """
-    a = cast("Model", a)
-    b = cast("Model", b)
+    a, b = cast("Model", a), cast("Model", b)
     if enter is not None:
         b = cut(b, enter, b.end)
     if not (np.isfinite(duration) and duration > 0):
@@ -250,8 +245,7 @@ def blend(a: FileOr[Model], b: FileOr[Model], weight: float | Curve) -> Model:
     SettingsError
         If the models share no time, or the weight is not finite or does not cover the shared time.
     """
-    a = cast("Model", a)
-    b = cast("Model", b)
+    a, b = cast("Model", a), cast("Model", b)
     a, b = match_spaces(a, b)
     start, end = max(a.start, b.start), min(a.end, b.end)
     if not start < end:
@@ -311,9 +305,9 @@ def _blend_interval(
         sites = subdivide(sites_between(start, end, np.concatenate(breaks)), count)
         return Curve(sites, mean(one(sites), other(sites), weight(sites)))
 
-    return a.with_motion(
-        blend_curves(a.time, b.time, lerp),
-        blend_curves(a.placement, aligned, partial(blend_placements, a.space)),
-        blend_curves(a.correction, b.correction, lerp),
-        a.header.with_times(merge_frame_times([ModelSection(a, start, end)])),
+    return a.edited(
+        header=a.header.with_times(merge_frame_times([ModelSection(a, start, end)])),
+        time=blend_curves(a.time, b.time, lerp),
+        placement=blend_curves(a.placement, aligned, partial(blend_placements, a.space)),
+        correction=blend_curves(a.correction, b.correction, lerp),
     )

@@ -128,7 +128,7 @@ HANDEDNESS_EIGENFUNCTIONS = 40  # number of eigenfunctions to which handedness i
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class CoarseBody:
     """Coarse surface of a body with some of its poses; lengths are in roots of the area."""
 
     surface: CoarseSurface  # surface in the first pose
@@ -139,7 +139,7 @@ class Body:
     tips: Index  # (k,) vertices of the surface at other tips, the most prominent first
 
     @classmethod
-    def from_poses(cls, poses: FloatArray, topology: Topology, count: int, known: Index) -> Body:
+    def from_poses(cls, poses: FloatArray, topology: Topology, count: int, known: Index) -> CoarseBody:
         """Decimate the largest component of a mesh in poses ``(T, V, 3)``, with known vertices ``(h,)``."""
         vertex_count = topology.vertex_count
         while topology.vertex_count < count / 2:
@@ -157,7 +157,7 @@ class Body:
         tips = np.flatnonzero(is_own)[distances[np.ix_(peaks[is_tip], is_own)].argmin(axis=1)]
         return cls(surface, coarse, distances, is_own, known, tips[:MAX_TIPS])
 
-    def mirrored(self) -> Body:
+    def mirrored(self) -> CoarseBody:
         """Return the mirror image of the body, with the same vertices."""
         mesh = self.surface.mesh
         faces = np.ascontiguousarray(mesh.topology.faces[:, ::-1])

@@ -32,8 +32,7 @@ from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Markers
-from mixseq.sequence.sequence import MeshSequence
-from mixseq.types import Float, FloatArray, Index, Mask
+from mixseq.types import Float, Index, Mask
 
 MIN_VOLUME_RATIO = 1e-9  # volume of a component, relative to its cubed diagonal; smaller volumes are rounding errors
 MAX_NAMED_COMPONENTS = 4  # largest number of components named in a message
@@ -135,45 +134,42 @@ class Suspicion:
     message: str  # problem and cure
 
 
-def check_markers(
-    markers: Markers,
-    source_points: FloatArray,
-    target_points: FloatArray,
-    source_topology: Topology | None = None,
-    target_topology: Topology | None = None,
-) -> None:
-    """Raise for invalid markers, and warn of suspicious markers: points ``(V, 3)`` and ``(V', 3)``."""
+def check_markers(markers: Markers, source: TriangleMesh, target: TriangleMesh) -> None:
+    """Raise for invalid markers, and warn of suspicious markers."""
     distinct_count = len(_distinct_markers(markers))
     if distinct_count < MIN_MARKERS:
         suffix = f" that differ, of {len(markers)}" if distinct_count < len(markers) else ""
         raise SettingsError(
             f"there are {distinct_count} markers{suffix}; at least {MIN_MARKERS} that are on no plane are needed"
         )
-    for side, vertices, points, topology in (
-        ("source", markers.source, source_points, source_topology),
-        ("target", markers.target, target_points, target_topology),
-    ):
-        _check_vertices(markers, side, vertices, len(points), topology)
+    check_marker_vertices(markers, source.topology, target.topology)
     _check_pairs(markers)
-    source = np.asarray(source_points[markers.source], np.float64)
-    target = np.asarray(target_points[markers.target], np.float64)
-    _check_spread("source", source, _used_points(source_points, source_topology))
-    _check_spread("target", target, _used_points(target_points, target_topology))
-    _check_hand(normalise_points(source), normalise_points(target))
-    for suspicion in find_suspicious_markers(markers, source, target):
+    x, y = source.points[markers.source], target.points[markers.target]
+    for side, mesh, marked in (("source", source, x), ("target", target, y)):
+        _check_spread(side, marked, np.delete(mesh.points, mesh.topology.unused_vertices, axis=0))
+    _check_hand(normalise_points(x), normalise_points(y))
+    for suspicion in find_suspicious_markers(markers, x, y):
         _warn(suspicion.message)
-
-
-def check_rest_frame(source: MeshSequence, rest: int) -> None:
-    """Raise if the source has no frame with the index `rest`."""
-    if not -source.frame_count <= rest < source.frame_count:
-        raise SettingsError(f"the source has no frame {rest}; the rest pose is one of 0 ... {source.frame_count - 1}")
 
 
 def check_marker_vertices(markers: Markers, source: Topology, target: Topology) -> None:
     """Raise for markers on missing vertices, or on vertices without triangles."""
     for side, vertices, topology in (("source", markers.source, source), ("target", markers.target, target)):
-        _check_vertices(markers, side, vertices, topology.vertex_count, topology)
+        count = topology.vertex_count
+        outside = np.flatnonzero((vertices < 0) | (vertices >= count))
+        if outside.size:
+            message = (
+                f"{_marker_list(markers, outside)}: the {side} has {count} vertices, 0 to {count - 1}; choose others, "
+                "or check that source and target are not exchanged"
+            )
+            if vertices.max() == count and vertices.min() > 0:
+                message += ", or subtract 1 from all: the file may count from 1"
+            raise SettingsError(message)
+        unused = np.flatnonzero(np.isin(vertices, topology.unused_vertices))
+        if unused.size:
+            raise SettingsError(
+                f"{_marker_list(markers, unused)}: no triangle of the {side} uses the vertex; choose others nearby"
+            )
 
 
 def find_suspicious_markers(markers: Markers, source: Float, target: Float) -> list[Suspicion]:
@@ -256,24 +252,6 @@ def _distinct_markers(markers: Markers) -> Index:
     return np.sort(np.unique(pairs, axis=1, return_index=True)[1])
 
 
-def _check_vertices(markers: Markers, side: str, vertices: Index, count: int, topology: Topology | None) -> None:
-    """Raise for missing vertices, and for vertices without triangles."""
-    outside = np.flatnonzero((vertices < 0) | (vertices >= count))
-    if outside.size:
-        message = (
-            f"{_marker_list(markers, outside)}: the {side} has {count} vertices, 0 to {count - 1}; choose others, "
-            "or check that source and target are not exchanged"
-        )
-        if vertices.max() == count and vertices.min() > 0:
-            message += ", or subtract 1 from all: the file may count from 1"
-        raise SettingsError(message)
-    unused = np.flatnonzero(np.isin(vertices, () if topology is None else topology.unused_vertices))
-    if unused.size:
-        raise SettingsError(
-            f"{_marker_list(markers, unused)}: no triangle of the {side} uses the vertex; choose others nearby"
-        )
-
-
 def _check_pairs(markers: Markers) -> None:
     """Raise if a vertex is paired with two different vertices; repetitions of a pair are allowed."""
     for side, other_side, vertices, partners in (
@@ -314,12 +292,6 @@ def _check_hand(source: Float, target: Float) -> None:
             f"{100 * rotated:.0f} % of the squared distances, the best reflection {100 * reflected:.0f} %; "
             "exchange left and right, or mirror one mesh (and flip its normals)"
         )
-
-
-def _used_points(points: FloatArray, topology: Topology | None) -> Float:
-    """Return the points that are used by triangles, or all points if no topology is given."""
-    used_points = points if topology is None else np.delete(points, topology.unused_vertices, axis=0)
-    return np.asarray(used_points, np.float64)
 
 
 def normalise_points(points: Float) -> Float:

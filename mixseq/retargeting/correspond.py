@@ -37,7 +37,6 @@ from mixseq.retargeting.checks import (
     check_facing,
     check_markers,
     check_orientation,
-    check_rest_frame,
     find_suspicious_markers,
 )
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_components
@@ -78,15 +77,15 @@ class CorrespondenceQuality:
     marker_distances: Float  # (n,) distances of registered source markers from target markers
     markers: Markers  # markers of the registration
 
-    def worst_markers(self, count: int) -> list[tuple[str, float]]:
-        """Return names and distances of the markers with the largest distances, the largest first."""
-        order = np.argsort(-self.marker_distances, kind="stable")[:count]
-        return [(self.markers.name(int(k)), float(self.marker_distances[k])) for k in order]
+    @property
+    def worst_marker(self) -> int:
+        """Marker with the largest distance."""
+        return int(self.marker_distances.argmax())
 
 
 def match(registered: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairing, ...]) -> Matches:
     """Match the vertices and triangles of a target to a registered source by closest points."""
-    vertex_count, face_count = len(target.points), len(target.faces)
+    vertex_count = len(target.points)
     # Query points are vertices, then centroids of triangles, in the order of the surface graph's nodes.
     queries = np.concatenate([target.points, target.centroids])
     normals = np.concatenate([target.vertex_normals, target.face_normals])
@@ -117,14 +116,7 @@ def match(registered: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairin
         faces[unmatched_ids], weights[unmatched_ids] = closest.faces, closest.weights
     vertex_faces = faces[:vertex_count]
     corners = np.where(vertex_faces[:, None] >= 0, registered.faces[vertex_faces], -1)
-    correspondence = Correspondence(
-        (len(registered.points), len(registered.faces)),
-        (vertex_count, face_count),
-        corners,
-        weights[:vertex_count],
-        faces[vertex_count:],
-        target.leaders(vertex_faces >= 0),
-    )
+    correspondence = _with_leaders(registered, target, corners, weights[:vertex_count], faces[vertex_count:])
     has_vertex_match, has_face_match = is_matched[:vertex_count], is_matched[vertex_count:]
     return Matches(correspondence, has_vertex_match, has_face_match, distances[:vertex_count])
 
@@ -172,6 +164,15 @@ def assess(
         np.linalg.norm(marker_offsets, axis=1) / diagonal,
         markers,
     )
+
+
+def _with_leaders(
+    source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, faces: Index
+) -> Correspondence:
+    """Return a correspondence in which vertices without corners follow leaders."""
+    source_size, target_size = ((len(mesh.points), len(mesh.faces)) for mesh in (source, target))
+    leaders = target.leaders(np.asarray((corners >= 0).all(axis=1)))
+    return Correspondence(source_size, target_size, corners, weights, faces, leaders)
 
 
 def _surface_graph(mesh: TriangleMesh) -> sparse.csr_array:
@@ -267,14 +268,15 @@ def correspond_and_assess(
     steps: int = STIFFNESS_STEPS,
 ) -> tuple[Correspondence, CorrespondenceQuality]:
     """Find a correspondence like `correspond`, and return it with its quality."""
-    check_rest_frame(source, rest)
+    if not -source.frame_count <= rest < source.frame_count:
+        raise SettingsError(f"the source has no frame {rest}; the rest pose is one of 0 ... {source.frame_count - 1}")
     markers = markers.renumbered(source, target)
     for side, sequence in (("source", source), ("target", target)):
         if not len(sequence.faces):
             raise SettingsError(f"the {side} has no faces; a correspondence is between surfaces")
     source_mesh = _triangle_mesh(source.points[rest], source.faces)
     target_mesh = _triangle_mesh(target.points[0], target.faces)
-    check_markers(markers, source_mesh.points, target_mesh.points, source_mesh.topology, target_mesh.topology)
+    check_markers(markers, source_mesh, target_mesh)
     pairings = pair_components(source_mesh.topology, target_mesh.topology, markers)
     _check_areas(source_mesh, target_mesh, pairings)
     check_orientation(source_mesh, target_mesh)
@@ -412,7 +414,8 @@ def _locate_vertices(triangles: Index, source: TriangleMesh, target: TriangleMes
         sums[1, :, k] = np.bincount(vertices, areas * source.face_normals[source_faces, k], vertex_count)
     matched_vertices = np.flatnonzero(corner_counts > 0)
     mean_points, normals = sums[:, matched_vertices] / total_areas[matched_vertices, None]
-    closest, barycentric = _closest_facing(source, mean_points, normals)
+    search = ClosestPointQuery.from_mesh(source.points, source.faces)
+    closest, barycentric = search.query_facing(mean_points, normals)
     corners = np.full((vertex_count, 3), -1)
     corners[matched_vertices], weights[matched_vertices] = source.faces[closest], barycentric
     source_corners, corner_index = source.faces[source_faces], np.tile(np.arange(3), len(mapped_faces))
@@ -446,14 +449,7 @@ def _complete_map(
     open_faces = np.flatnonzero(is_whole & (faces < 0))
     faces = np.where(is_whole, faces, -1)
     faces[open_faces] = _locate_faces(source, target, corners, weights, open_faces)
-    return Correspondence(
-        (len(source.points), len(source.faces)),
-        (len(target.points), len(target.faces)),
-        corners,
-        weights,
-        faces,
-        target.leaders(is_matched),
-    )
+    return _with_leaders(source, target, corners, weights, faces)
 
 
 def _locate_faces(source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, face_ids: Index) -> Index:
@@ -467,10 +463,10 @@ def _locate_faces(source: TriangleMesh, target: TriangleMesh, corners: Index, we
     if remaining.size and len(source.faces):
         mapped_points = np.einsum("vk,vkc->vc", weights, source.points[corners])
         normals = np.einsum("vk,vkc->vc", weights, source.vertex_normals[corners])
-        source_faces[remaining] = _closest_facing(
-            source,
-            mapped_points[triangles[remaining]].mean(axis=1),
-            normals[triangles[remaining]].sum(axis=1),
+        corners = triangles[remaining]
+        search = ClosestPointQuery.from_mesh(source.points, source.faces)
+        source_faces[remaining] = search.query_facing(
+            mapped_points[corners].mean(axis=1), normals[corners].sum(axis=1)
         )[0]
     return source_faces
 
@@ -488,18 +484,6 @@ def _find_equal_triangles(source: Index, queries: Index) -> Index:
         key_matches = face_of_key[key_ids[len(source) :]]
         matches = np.where(key_matches >= 0, key_matches, matches)
     return matches
-
-
-def _closest_facing(source: TriangleMesh, points: Float, normals: Float) -> tuple[Index, Float]:
-    """Return the closest triangles that face the same way, or else the closest of any, and barycentric weights."""
-    nearest = ClosestPointQuery.from_mesh(source.points, source.faces)
-    closest = nearest.query(points, normals)
-    faces, weights = closest.faces.copy(), closest.weights.copy()
-    unmatched = np.flatnonzero(faces < 0)
-    if unmatched.size:
-        closest_any = nearest.query(points[unmatched])
-        faces[unmatched], weights[unmatched] = closest_any.faces, closest_any.weights
-    return faces, weights
 
 
 MIN_EXAMINED_MARKERS = 10  # smallest number of markers for a registration with meaningful residuals

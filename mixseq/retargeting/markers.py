@@ -1,7 +1,7 @@
 r"""Markers (pairs of corresponding vertices, set by hand), and dense correspondences of two meshes.
 
 Markers pair components of the meshes (`pair_components`), and determine a similarity between the meshes
-(`fit_similarity`; Umeyama 1991): the rotation R, scale s and translation t that minimise
+(`align_similarly`; Umeyama 1991): the rotation R, scale s and translation t that minimise
 :math:`\sum_k \|s R x_k + t - y_k\|^2`. R is the proper rotation of the best rigid motion. For points relative to their
 centroids the scale is
 
@@ -156,21 +156,8 @@ def pair_components(source: Topology, target: Topology, markers: Markers) -> tup
     return tuple(pairings)
 
 
-@dataclass(frozen=True, eq=False)
-class Similarity:
-    """Similarity ``x -> scale * rotation x + translation``."""
-
-    scale: float  # scale factor
-    rotation: Float  # (3, 3) rotation matrix
-    translation: Float  # (3,) translation vector
-
-    def __call__(self, points: Float) -> Float:
-        """Map points ``(..., 3)``."""
-        return np.asarray(self.scale * points @ self.rotation.T + self.translation)
-
-
-def fit_similarity(source: Float, target: Float) -> Similarity:
-    """Fit the similarity that maps source points ``(n, 3)`` onto target points ``(n, 3)``, by least squares."""
+def align_similarly(points: Float, source: Float, target: Float) -> Float:
+    """Map points ``(V, 3)`` by the similarity that fits source points ``(n, 3)`` to target points best."""
     rotation, _ = kabsch(source, target)
     source_centre, target_centre = source.mean(axis=0), target.mean(axis=0)
     x, y = (source - source_centre) @ rotation.T, target - target_centre
@@ -178,7 +165,7 @@ def fit_similarity(source: Float, target: Float) -> Similarity:
     if not (squared_norm > 0 and inner_product > 0):
         raise SettingsError("the markers are all in one place; mark points all over the meshes")
     scale = inner_product / squared_norm
-    return Similarity(scale, rotation, target_centre - scale * rotation @ source_centre)
+    return np.asarray(scale * points @ rotation.T + (target_centre - scale * rotation @ source_centre))
 
 
 @dataclass(frozen=True, eq=False)

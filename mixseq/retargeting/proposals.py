@@ -40,7 +40,7 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.rigid import aligning_rotations, kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.bodies import SAME_TIP_DISTANCE, Body, find_largest_component
+from mixseq.retargeting.bodies import SAME_TIP_DISTANCE, CoarseBody, find_largest_component
 from mixseq.retargeting.correspond import correspond_and_assess
 from mixseq.retargeting.markers import Markers
 from mixseq.runtime.parallel import one_blas_thread
@@ -82,7 +82,7 @@ class PosePair:
     residual: float  # root mean square of residuals at the corresponding vertices
 
 
-def find_pose_pair(first: Body, second: Body, pairs: Index) -> PosePair:
+def find_pose_pair(first: CoarseBody, second: CoarseBody, pairs: Index) -> PosePair:
     """Find the poses in which corresponding vertices ``(k, 2)`` of two bodies are most similar."""
     x, y = first.poses[:, pairs[:, 0]], second.poses[:, pairs[:, 1]]
     x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
@@ -99,7 +99,7 @@ MIN_TIPS_TO_LEAVE_OUT = 5  # smallest number of tips of maps that leave out one 
 RESIDUAL_WEIGHT = 2.0  # weight of residuals in ranks of maps, per root of the area
 
 
-def rank_tip_maps(first: Body, second: Body) -> list[tuple[float, Index]]:
+def rank_tip_maps(first: CoarseBody, second: CoarseBody) -> list[tuple[float, Index]]:
     """Return maps of tips by increasing cost of distances: costs and vertices ``(k, 2)``, known pairs first."""
     ends = [np.concatenate([body.known, body.tips]) for body in (first, second)]
     logs = [
@@ -127,7 +127,7 @@ def rank_tip_maps(first: Body, second: Body) -> list[tuple[float, Index]]:
     return sorted(maps, key=lambda ranked: ranked[0])[:MAX_TIP_MAPS]
 
 
-def _rank_with_poses(first: Body, second: Body) -> list[Index]:
+def _rank_with_poses(first: CoarseBody, second: CoarseBody) -> list[Index]:
     """Return maps of tips ``(k, 2)`` by increasing cost of distances and residuals in the most similar poses."""
     ranked = [
         (cost + RESIDUAL_WEIGHT * find_pose_pair(first, second, pairs).residual, pairs)
@@ -153,17 +153,14 @@ class DenseMap:
     score: float  # residuals of similarities; lower is better
     orientation: float  # share of the area on which the map preserves orientation
 
-    def contradicts(self, other: DenseMap) -> bool:
-        """Return whether a tip has another partner in the other map."""
-        return _contradict(self.pairs, other.pairs)
 
-
-def _contradict(pairs: Index, other_pairs: Index) -> bool:
+def contradict(pairs: Index, other_pairs: Index) -> bool:
+    """Return whether a tip has different partners in two maps of tips ``(k, 2)`` and ``(m, 2)``."""
     is_same = pairs[:, None] == other_pairs[None]
     return bool((is_same[..., 0] != is_same[..., 1]).any())
 
 
-def extend_tip_map(first: Body, second: Body, pairs: Index) -> DenseMap:
+def extend_tip_map(first: CoarseBody, second: CoarseBody, pairs: Index) -> DenseMap:
     """Extend corresponding tips ``(k, 2)`` to a dense map."""
     poses = find_pose_pair(first, second, pairs)
     samples = second.sample(POSE_SAMPLES)
@@ -174,7 +171,7 @@ def extend_tip_map(first: Body, second: Body, pairs: Index) -> DenseMap:
     return assess_map(first, second, pairs, to_first, to_second, poses)
 
 
-def _features(first: Body, second: Body, pairs: Index, poses: PosePair) -> tuple[Float, Float]:
+def _features(first: CoarseBody, second: CoarseBody, pairs: Index, poses: PosePair) -> tuple[Float, Float]:
     """Return features ``(n, c)`` and ``(n', c)`` that correspond under a map of tips."""
     a, b = pairs.T
     i, j = np.triu_indices(len(pairs), 1)
@@ -204,7 +201,7 @@ def _nearest_rows(first: Float, second: Float) -> tuple[Index, Index]:
 
 
 def _zoom_out(
-    first: Body, second: Body, to_first: Index, to_second: Index, features: tuple[Float, Float]
+    first: CoarseBody, second: CoarseBody, to_first: Index, to_second: Index, features: tuple[Float, Float]
 ) -> tuple[Index, Index]:
     """Refine a map, with features ``(n, c)`` and ``(n', c)`` kept."""
     largest = min(body.eigenfunctions.shape[1] for body in (first, second))
@@ -223,7 +220,9 @@ PATCH_COUNT, PATCH_SAMPLES = 120, 40  # number of patches, and of sample vertice
 PATCH_SHARE = 0.1  # share of a body's vertices in a patch
 
 
-def assess_map(first: Body, second: Body, pairs: Index, to_first: Index, to_second: Index, poses: PosePair) -> DenseMap:
+def assess_map(
+    first: CoarseBody, second: CoarseBody, pairs: Index, to_first: Index, to_second: Index, poses: PosePair
+) -> DenseMap:
     """Compute the score and the orientation of a dense map in the most similar poses."""
     f, g = poses.poses
     vertex_pairs = np.stack([to_first, np.arange(len(to_first))], axis=1)
@@ -237,7 +236,7 @@ def assess_map(first: Body, second: Body, pairs: Index, to_first: Index, to_seco
     return DenseMap(pairs, to_first, to_second, poses, score, orientation)
 
 
-def _patch_residual(first: Body, second: Body, to_first: Index, poses: tuple[int, int]) -> float:
+def _patch_residual(first: CoarseBody, second: CoarseBody, to_first: Index, poses: tuple[int, int]) -> float:
     """Return the mean residual of similarities of patches of the second body, relative to their radii."""
     order = np.argsort(second.distances[second.sample(PATCH_COUNT)], axis=1, kind="stable")
     size = min(max(int(PATCH_SHARE * order.shape[1]), PATCH_SAMPLES), order.shape[1])
@@ -249,7 +248,7 @@ def _patch_residual(first: Body, second: Body, to_first: Index, poses: tuple[int
     return float(np.sqrt(squares / np.maximum(norms[1], 1e-12)).mean())
 
 
-def _preserved_area(first: Body, second: Body, to_first: Index) -> float:
+def _preserved_area(first: CoarseBody, second: CoarseBody, to_first: Index) -> float:
     """Return the share of the second body's area whose image faces outwards, among triangles that keep an area."""
     faces = second.surface.mesh.topology.faces
     corners = first.surface.points[to_first[faces]]
@@ -265,11 +264,11 @@ MAX_SYMMETRIES = 6  # number of symmetries of a body by which the best map is ch
 MAX_SYMMETRY_COST = 0.2  # largest cost of a map of a body's tips to themselves
 
 
-def find_best_map(first: Body, second: Body) -> tuple[DenseMap, float] | None:
+def find_best_map(first: CoarseBody, second: CoarseBody) -> tuple[DenseMap, float] | None:
     """Find the dense map of the lowest score and its margin; return None with too few tips."""
     chosen: list[Index] = []
     for pairs in _rank_with_poses(first, second):
-        if sum(not _contradict(pairs, other) for other in chosen) < MAX_EQUIVALENT_MAPS:
+        if sum(not contradict(pairs, other) for other in chosen) < MAX_EQUIVALENT_MAPS:
             chosen.append(pairs)
         if len(chosen) == MAX_DENSE_MAPS:
             break
@@ -282,7 +281,7 @@ def find_best_map(first: Body, second: Body) -> tuple[DenseMap, float] | None:
             if _key(pairs) not in maps:
                 maps[_key(pairs)] = extend_tip_map(first, second, pairs)
     best = min(maps.values(), key=lambda each: each.score)
-    rivals = [each.score for each in maps.values() if each.contradicts(best)]
+    rivals = [each.score for each in maps.values() if contradict(each.pairs, best.pairs)]
     return best, min(rivals, default=np.inf) - best.score
 
 
@@ -290,7 +289,7 @@ def _key(pairs: Index) -> tuple[tuple[int, int], ...]:
     return tuple(sorted(map(tuple, pairs.tolist())))
 
 
-def _symmetric_maps(body: Body, pairs: Index) -> Iterator[Index]:
+def _symmetric_maps(body: CoarseBody, pairs: Index) -> Iterator[Index]:
     """Yield a map of tips with the tips of the second body replaced by their images under its symmetries."""
     symmetries = [
         dict(each.tolist())
@@ -315,14 +314,14 @@ class Mirror:
     """Mirror map of a body: the partner of every coarse vertex on the opposite side."""
 
     mesh: TriangleMesh  # mesh of the body
-    body: Body  # coarse body
+    body: CoarseBody  # coarse body
     partners: Index  # (n,) partner of every vertex of the coarse body
 
     @classmethod
     def from_poses(cls, poses: FloatArray, topology: Topology) -> Mirror | None:
         """Find the mirror map of a mesh in poses ``(T, V, 3)``; return None if it has no two similar sides."""
         with one_blas_thread():
-            body = Body.from_poses(poses, topology, RUN_VERTEX_COUNTS[0], np.zeros(0, np.int64))
+            body = CoarseBody.from_poses(poses, topology, RUN_VERTEX_COUNTS[0], np.zeros(0, np.int64))
             image = body.mirrored()
             exchanges = [pairs for pairs in _rank_with_poses(body, image) if _is_exchange(pairs)][:MAX_EXCHANGES]
             maps = [extend_tip_map(body, image, pairs) for pairs in exchanges]
@@ -410,7 +409,10 @@ def propose_markers(first: Poses, second: Poses, known: Markers | None = None) -
         known_pairs = known_pairs[np.isin(known_pairs[:, side], on_body)]
         known_pairs = known_pairs[np.sort(np.unique(known_pairs[:, side], return_index=True)[1])]
     bodies, check_bodies = (
-        (Body.from_poses(*first, count, known_pairs[:, 0]), Body.from_poses(*second, count, known_pairs[:, 1]))
+        (
+            CoarseBody.from_poses(*first, count, known_pairs[:, 0]),
+            CoarseBody.from_poses(*second, count, known_pairs[:, 1]),
+        )
         for count in RUN_VERTEX_COUNTS
     )
     run, check_run = find_best_map(*bodies), find_best_map(*check_bodies[::-1])
@@ -435,7 +437,7 @@ def propose_markers(first: Poses, second: Poses, known: Markers | None = None) -
     return replace(unsure, markers=Markers(source, target, names), tip_count=len(known) + int((is_tip & is_new).sum()))
 
 
-def _to_mesh_vertices(bodies: tuple[Body, Body], pairs: Index) -> Index:
+def _to_mesh_vertices(bodies: tuple[CoarseBody, CoarseBody], pairs: Index) -> Index:
     """Return the vertices of the meshes for vertices ``(k, 2)`` of coarse surfaces."""
     return np.stack([body.surface.vertices[pairs[:, side]] for side, body in enumerate(bodies)], axis=1)
 
@@ -455,7 +457,7 @@ def _find_doubt(best: DenseMap, check: DenseMap, margin: float, agreement: tuple
 
 
 def _count_agreeing_tips(
-    bodies: tuple[Body, Body], check_bodies: tuple[Body, Body], best: DenseMap, check: DenseMap
+    bodies: tuple[CoarseBody, CoarseBody], check_bodies: tuple[CoarseBody, CoarseBody], best: DenseMap, check: DenseMap
 ) -> tuple[int, int]:
     """Return the numbers of tips of the first run with the same and with other partners in the second run."""
     near = []
@@ -469,7 +471,7 @@ def _count_agreeing_tips(
     return int(is_same.diagonal().sum()), int((is_same & ~np.eye(len(is_same), dtype=bool)).sum())
 
 
-def sample_markers(first: Body, second: Body, best: DenseMap) -> tuple[Index, Mask]:
+def sample_markers(first: CoarseBody, second: CoarseBody, best: DenseMap) -> tuple[Index, Mask]:
     """Sample a dense map: corresponding vertices ``(n, 2)``, tips first, and the mask ``(n,)`` of tips."""
     # Samples are on the mesh with fewer vertices, the images on the other one.
     side = 1 if first.is_own.all() else 0
@@ -507,7 +509,7 @@ def sample_markers(first: Body, second: Body, best: DenseMap) -> tuple[Index, Ma
     return pairs[is_kept], is_tip[is_kept]
 
 
-def _register_surfaces(first: Body, second: Body, poses: tuple[int, int], pairs: Index) -> Index | None:
+def _register_surfaces(first: CoarseBody, second: CoarseBody, poses: tuple[int, int], pairs: Index) -> Index | None:
     """Return the vertex of the first body for every vertex of the second, or -1, by a registration with markers."""
     meshes = [
         MeshSequence.from_arrays(body.poses[pose][None], body.surface.mesh.topology.faces)

@@ -9,9 +9,6 @@ for Surface Registration*). Its constraints are
 - every target vertex, which attracts the closest point of the source that faces the same way, so that long features
   (humps, ears, hooves) are covered.
 
-On horse to camel and cat to lion it is no slower than trimesh's `nricp_sumner`, and over four times faster than
-`nricp_amberg`. Its distances from the target are a sixth of the distances of both, and it supports separate components.
-
 *The energy.* Unknowns are the new position p_i of every vertex i, and an affine map A_i of its neighbourhood. This form
 (embedded deformation, Sumner, Schmid and Pauly 2007) does not depend on the origin. With edges
 :math:`e_{ij} = x_j - x_i`,
@@ -27,12 +24,15 @@ last sum has the soft constraints: points on triangles are attracted to goals y,
 
 E is quadratic, with one matrix for all three coordinates. Constraints and edges only couple corners of the same
 triangle, so the sparsity pattern of the matrix is constant and analysed once.
+
+*Two levels.* While stiff, the source is decimated and the target sampled. All vertices then start from the deformation
+of the decimated source at their closest points, :math:`\sum_k \beta_k (p_k + A_k (x - x_k))`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -40,11 +40,12 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.mesh.box_tree import BoxTree, triangle_corners
+from mixseq.mesh.decimation import decimate
 from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.markers import Markers, Pairing, fit_similarity
+from mixseq.retargeting.markers import Markers, Pairing, align_similarly
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.shells.solvers import Analysis, Factor, analyse
 from mixseq.types import Float, Index, IntArray
@@ -195,7 +196,8 @@ def _difference_rows(terms: Sequence[tuple[Index, Float | float]], scales: Float
 FIRST_STIFFNESS, LAST_STIFFNESS = 1.0, 1e-5  # results on horse to camel and cat to lion hardly depend on these values
 STIFFNESS_STEPS = 10  # number of stiffnesses, evenly spaced in their logarithm
 ROUNDS_PER_STEP = 2  # rounds of closest points per stiffness
-SAMPLED_STIFFNESS, SAMPLED_VERTICES = 1e-2, 5000  # least stiffness at which about this number of vertices suffices
+FINE_STEPS = 3  # number of last stiffnesses with all vertices; before, the source is decimated and the target sampled
+COARSE_VERTICES = 3000  # number of vertices of the decimated source, and about that of the sampled target
 REFINEMENT_STEPS = 2  # conjugate gradients of a stiffness's second round; 1 is too few for 39 markers of cat and lion
 MARKER_ONLY_ROUNDS = 3  # number of minimisations with markers alone, which update the similarities
 MARKER_WEIGHT = 1.0  # total weight of markers; the vertices of each surface have a total weight of 1
@@ -213,26 +215,30 @@ def register(
     steps: int = STIFFNESS_STEPS,
 ) -> Float:
     """Deform the paired components of a source onto a target in a similar pose; return the vertices ``(V, 3)``."""
-    similarity = fit_similarity(source.points[markers.source], target.points[markers.target])
+    similar = align_similarly(source.points, source.points[markers.source], target.points[markers.target])
     # Centred coordinates in diagonals of the target avoid rounding errors far from the origin.
     diagonal, centre = target.diagonal, target.centroids.mean(axis=0)
-    aligned = TriangleMesh((similarity(source.points) - centre) / diagonal, source.topology)
+    aligned = TriangleMesh((similar - centre) / diagonal, source.topology)
     normalised_target = TriangleMesh((target.points - centre) / diagonal, target.topology)
-    data_term = DataTerm.from_pairings(aligned, normalised_target, pairings, markers)
-    energy = Energy(data_term.mesh)
-    maps = np.broadcast_to(np.eye(3), (len(data_term.vertices), 3, 3))
+    fine = DataTerm.from_pairings(aligned, normalised_target, pairings, markers)
+    term = fine.decimated()
+    energy = Energy(term.mesh)
     stiffnesses = np.repeat(np.geomspace(FIRST_STIFFNESS, last_stiffness, steps), ROUNDS_PER_STEP).tolist()
     radii = np.repeat(np.linspace(FIRST_SEARCH_DIAGONALS, LAST_SEARCH_DIAGONALS, steps), ROUNDS_PER_STEP).tolist()
-    current = energy.minimise(FIRST_STIFFNESS, maps, [data_term.markers])
+    first_fine_round = ROUNDS_PER_STEP * max(steps - FINE_STEPS, 0)
+    maps = np.broadcast_to(np.eye(3), (len(term.vertices), 3, 3))
+    current = energy.minimise(FIRST_STIFFNESS, maps, [term.markers])
     for _ in range(MARKER_ONLY_ROUNDS - 1):
-        current = energy.minimise(FIRST_STIFFNESS, current.maps, [data_term.markers], current)
+        current = energy.minimise(FIRST_STIFFNESS, current.maps, [term.markers], current)
     for round_id, (stiffness, radius) in enumerate(zip(stiffnesses, radii, strict=True)):
         progress(round_id, len(radii), "registering")
+        if round_id == first_fine_round and term is not fine:
+            current, term, energy = fine.interpolate(term, current), fine, Energy(fine.mesh)
         before = current if round_id % ROUNDS_PER_STEP else None
-        constraints = data_term.constraints(current.points, radius, sampled=stiffness >= SAMPLED_STIFFNESS)
+        constraints = term.constraints(current.points, radius, sampled=round_id < first_fine_round)
         current = energy.minimise(stiffness, current.maps, constraints, before)
     progress(len(radii), len(radii), "registering")
-    points = _move_unfitted_vertices(aligned, data_term.vertices, current.points, current.maps)
+    points = _move_unfitted_vertices(aligned, fine.vertices, current.points, current.maps)
     return np.asarray(points * diagonal + centre)
 
 
@@ -251,47 +257,66 @@ def _move_unfitted_vertices(source: TriangleMesh, vertices: Index, points: Float
 
 @dataclass(frozen=True, eq=False)
 class DataTerm:
-    """Soft constraints of the fitted mesh, which has only the paired components of a source."""
+    """Soft constraints of the fitted mesh, which has vertices of the paired components of a source."""
 
     vertices: Index  # (n,) source vertices of the fitted mesh, ascending
     mesh: TriangleMesh  # undeformed fitted mesh
     target: TriangleMesh  # mesh to which constraints attract
     pairings: tuple[Pairing, ...]  # paired components; source ids are ids of the fitted mesh
     markers: SoftConstraints  # constraints of the markers
+    target_searches: tuple[ClosestPointQuery, ...]  # closest-point query on the target for every pairing
 
     @classmethod
     def from_pairings(
         cls, source: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairing, ...], markers: Markers
     ) -> DataTerm:
         """Select the paired components of a source."""
-        vertices = np.unique(np.concatenate([pairing.source_vertices for pairing in pairings]))
-        row_of_vertex = np.full(len(source.points), -1)
-        row_of_vertex[vertices] = np.arange(len(vertices))
+        corners, goals = markers.source[:, None], target.points[markers.target]
+        weights = np.full(len(markers), MARKER_WEIGHT / len(markers))
+        constraints = SoftConstraints(corners, np.ones(corners.shape), goals, weights)
+        query = ClosestPointQuery.from_mesh
+        searches = tuple(query(target.points, target.faces, pairing.target_faces) for pairing in pairings)
+        whole = cls(np.arange(len(source.points)), source, target, pairings, constraints, searches)
         face_ids = np.unique(np.concatenate([pairing.source_faces for pairing in pairings]))
-        topology = Topology(row_of_vertex[source.faces[face_ids]], len(vertices))
-        local_pairings = tuple(
-            Pairing(
-                np.searchsorted(face_ids, pairing.source_faces),
-                pairing.target_faces,
-                row_of_vertex[pairing.source_vertices],
-                pairing.target_vertices,
-            )
-            for pairing in pairings
-        )
-        marker_constraints = SoftConstraints(
-            row_of_vertex[markers.source][:, None],
-            np.ones((len(markers), 1)),
-            target.points[markers.target],
-            np.full(len(markers), MARKER_WEIGHT / len(markers)),
-        )
-        mesh = TriangleMesh(source.points[vertices], topology)
-        return cls(vertices, mesh, target, local_pairings, marker_constraints)
+        vertices = np.unique(np.concatenate([pairing.source_vertices for pairing in pairings]))
+        return whole._restricted(vertices, source.faces[face_ids])
 
-    @cached_property
-    def _target_searches(self) -> list[ClosestPointQuery]:
-        """Closest-point query on the target for every pairing."""
-        points, faces, query = self.target.points, self.target.faces, ClosestPointQuery.from_mesh
-        return [query(points, faces, pairing.target_faces) for pairing in self.pairings]
+    def decimated(self) -> DataTerm:
+        """Return the term of the mesh decimated to `COARSE_VERTICES`; the same term if it has fewer."""
+        if len(self.vertices) <= COARSE_VERTICES:
+            return self
+        faces, keep = self.mesh.faces.astype(np.int64), np.unique(self.markers.corners).astype(np.int64)
+        vertices, coarse_faces = decimate(self.mesh.points, faces, COARSE_VERTICES, keep)
+        return self._restricted(vertices, vertices[coarse_faces])
+
+    def _restricted(self, vertices: Index, faces: Index) -> DataTerm:
+        """Return the term of triangles ``(m, 3)`` of some of the vertices ``(n,)``."""
+        pairings = tuple(
+            replace(
+                pairing,
+                source_faces=np.flatnonzero(np.isin(faces[:, 0], pairing.source_vertices)),
+                source_vertices=np.flatnonzero(np.isin(vertices, pairing.source_vertices)),
+            )
+            for pairing in self.pairings
+        )
+        mesh = TriangleMesh(self.mesh.points[vertices], Topology(np.searchsorted(vertices, faces), len(vertices)))
+        markers = replace(self.markers, corners=np.searchsorted(vertices, self.markers.corners))
+        return replace(self, vertices=self.vertices[vertices], mesh=mesh, pairings=pairings, markers=markers)
+
+    def interpolate(self, coarse: DataTerm, deformation: Deformation) -> Deformation:
+        """Interpolate a deformation of a decimated mesh: the maps at the closest points that face the same way."""
+        points, maps = np.empty_like(self.mesh.points), np.empty((len(self.vertices), 3, 3))
+        x, faces = coarse.mesh.points, coarse.mesh.faces
+        for pairing, coarse_pairing in zip(self.pairings, coarse.pairings, strict=True):
+            rows = pairing.source_vertices
+            search = ClosestPointQuery.from_mesh(x, faces, coarse_pairing.source_faces)
+            closest, weights = search.query_facing(self.mesh.points[rows], self.mesh.vertex_normals[rows])
+            corners = faces[closest]
+            offsets = self.mesh.points[rows, None] - x[corners]
+            moved = deformation.points[corners] + np.einsum("nkij,nkj->nki", deformation.maps[corners], offsets)
+            points[rows] = np.einsum("nk,nki->ni", weights, moved)
+            maps[rows] = np.einsum("nk,nkij->nij", weights, deformation.maps[corners])
+        return deformation._replace(points=points, maps=maps)
 
     @cached_property
     def _source_orders(self) -> list[Index]:
@@ -308,24 +333,23 @@ class DataTerm:
     def constraints(self, points: Float, radius: float, sampled: bool = False) -> list[SoftConstraints]:
         """Return the constraints of fitted points ``(n, 3)``: markers, and closest points on both surfaces.
 
-        If `sampled`, every k-th vertex of a component is attracted, or attracts, with the weight of k vertices.
+        If `sampled`, every k-th vertex of the target attracts, with the weight of k vertices.
         """
         deformed, target = TriangleMesh(points, self.mesh.topology), self.target
         source_areas, target_areas = self._areas
         constraints = [self.markers]
-        searches = zip(self.pairings, self._target_searches, self._source_orders, strict=True)
+        searches = zip(self.pairings, self.target_searches, self._source_orders, strict=True)
         for pairing, target_search, order in searches:
-            stride = max(len(pairing.source_vertices) // SAMPLED_VERTICES, 1) if sampled else 1
-            vertices = pairing.source_vertices[::stride]
+            vertices = pairing.source_vertices
             closest = target_search.query(
                 points[vertices], deformed.vertex_normals[vertices], MAX_NORMAL_ANGLE_DEGREES, radius
             )
             near = np.flatnonzero(closest.faces >= 0)
             goals = target.points_on(closest.faces[near], closest.weights[near])
-            corners, weights = vertices[near][:, None], stride * source_areas[vertices[near]]
+            corners, weights = vertices[near][:, None], source_areas[vertices[near]]
             constraints.append(SoftConstraints(corners, np.ones((len(near), 1)), goals, weights))
 
-            stride = max(len(pairing.target_vertices) // SAMPLED_VERTICES, 1) if sampled else 1
+            stride = max(len(pairing.target_vertices) // COARSE_VERTICES, 1) if sampled else 1
             vertices = pairing.target_vertices[::stride]
             source_search = ClosestPointQuery.from_mesh(deformed.points, deformed.faces, pairing.source_faces, order)
             normals = target.vertex_normals[vertices]

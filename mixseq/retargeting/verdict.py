@@ -119,7 +119,7 @@ def _find_at_rest(transfer: Transfer, report: TransferReport) -> Iterator[Findin
     fitting = quality.target_coverage / max(covered.area, 1e-9)  # followers fit nothing
     if fitting < MIN_AREA_SHARE or not quality.mean_distance <= MAX_MEAN_DISTANCE_DIAGONALS:
         yield Finding(f"only {100 * fitting:.1f} % of the target fits the source; set more markers")
-    worst = int(np.argmax(quality.marker_distances))
+    worst = quality.worst_marker
     if quality.marker_distances[worst] > MAX_MARKER_DISTANCE_DIAGONALS:
         name, distance = quality.markers.name(worst), quality.marker_distances[worst]
         message = f"marker {name} is missed by {distance:.2g} diagonals; set it anew"

@@ -347,10 +347,7 @@ class MotionSettings:
 
 
 def segment_by_motion(
-    points: FloatArray,
-    topology: Topology,
-    parts: int | None = None,
-    settings: MotionSettings | None = None,
+    points: FloatArray, topology: Topology, parts: int | None = None, settings: MotionSettings | None = None
 ) -> Index:
     """Find the near-rigid part ``(F,)`` of every face from points ``(T, V, 3)``."""
     settings = settings or MotionSettings()
@@ -452,8 +449,7 @@ def _merge_small_patches(patches: _Patches, settings: MotionSettings) -> None:
             return
         drop = min(small)[1]
         keep = min(
-            patches.neighbours[drop],
-            key=lambda n: ((moments[n] + moments[drop]).error() - moments[n].error(), n),
+            patches.neighbours[drop], key=lambda n: ((moments[n] + moments[drop]).error() - moments[n].error(), n)
         )
         patches.merge(keep, drop)
 

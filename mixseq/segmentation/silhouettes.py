@@ -230,10 +230,7 @@ class SilhouetteSettings:
 
 
 def segment_by_silhouettes(
-    points: FloatArray,
-    topology: Topology,
-    parts: int | None = None,
-    settings: SilhouetteSettings | None = None,
+    points: FloatArray, topology: Topology, parts: int | None = None, settings: SilhouetteSettings | None = None
 ) -> Index:
     """Find the part ``(F,)`` of every face between deforming silhouettes of points ``(T, V, 3)``."""
     settings = settings or SilhouetteSettings()
@@ -338,10 +335,7 @@ class SpanningTreeSettings:
 
 
 def segment_by_spanning_tree(
-    points: FloatArray,
-    topology: Topology,
-    parts: int | None = None,
-    settings: SpanningTreeSettings | None = None,
+    points: FloatArray, topology: Topology, parts: int | None = None, settings: SpanningTreeSettings | None = None
 ) -> Index:
     """Find the part ``(F,)`` of every face, bounded by hinges whose angles vary most in points ``(T, V, 3)``."""
     settings = settings or SpanningTreeSettings()

@@ -34,28 +34,14 @@ if TYPE_CHECKING:
     from mixseq.mesh.topology import Topology
 
 SAMPLED_EDGES = 768  # number of edges whose vertices are compared, shared by the components
-
-MIN_COMPONENT_EDGES, MAX_COMPONENTS = 48, 64
-"""Least number of compared edges of a component, and largest number of components that are examined by themselves."""
-
-MAX_GROUPS = 8
-"""Largest number of groups of components with cuts and pops of their own; each has as many modes as frames."""
-
-CUT_RATIO = 5.0
-"""Least ratio of a cut to the two steps on either side. With 4, real motions have cuts (docs/resampling.md)."""
-
+MIN_COMPONENT_EDGES, MAX_COMPONENTS = 48, 64  # compared edges of a component, and components examined alone
+MAX_GROUPS = 8  # groups of components with cuts and pops of their own, each with as many modes as frames
+CUT_RATIO = 5.0  # least ratio of a cut to the two steps on either side; with 4, real motions have cuts
 COMPONENT_CUT_RATIO = 8.0  # the same for one of several components
 FLANK_RATIO = 3.0  # largest ratio of the steps beside a cut to the steps beyond them; in a burst of motion it is larger
-
-MIN_CUT_DIAGONALS, MIN_STILL_CUT_DIAGONALS = 1e-3, 0.1
-"""Least step at a cut, in diagonals, of moving and of otherwise still components."""
-
-ROUNDING_UNITS, MOVING_UNITS = 2.0, 8.0
-"""Units in the last place: largest difference of equal coordinates, and least step of a component that moves."""
-
-NOISE_SIMILARITY, MIN_NOISE_VERTICES = 0.5, 30
-"""Similarity of neighbouring vertices below which a step is noise (real motions: 0.82 to 1), and number it needs."""
-
+MIN_CUT_DIAGONALS, MIN_STILL_CUT_DIAGONALS = 1e-3, 0.1  # least cut of moving and of still components
+ROUNDING_UNITS, MOVING_UNITS = 2.0, 8.0  # units in the last place: largest equal, and least moving difference
+NOISE_SIMILARITY, MIN_NOISE_VERTICES = 0.5, 30  # similarity of neighbours below which a step is noise
 COLLAPSED_RATIO = 0.1  # ratio of a component's size to its median below which it has collapsed
 MIN_EVIDENCE = 3  # least number of standstills, kinks or periods that make a pattern
 MAX_POSE_RATIO = 4  # largest ratio of the duration of a repeated pose to the median duration

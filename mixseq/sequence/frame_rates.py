@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 Seconds = Annotated[float, "seconds"]
 """A time or duration that scripts may give as a number of frames."""
 
-FRAME_TOLERANCE = 1e-3
-"""Distance in frames up to which times snap to frames and knots, as times are typed and stored with few digits."""
-
+FRAME_TOLERANCE = 1e-3  # distance, in frames, within which times snap, as they are typed and stored with few digits
 FRAME_ROUNDING = 1e-9  # largest distance of a time from a frame that is a rounding error, in frames
 
 
@@ -89,14 +87,9 @@ def snap_to_ntsc(fps: float, base: float | None = None) -> float:
 USUAL_RATES = (24.0, 30.0, 25.0, 60.0, 50.0, 48.0, 120.0, 100.0, 12.0, 15.0, 20.0, 10.0, *NTSC_RATES, 240.0)
 """Frame rates in Hz, the most common first."""
 
-_RATE_ROUNDING = 2.0**-22
-"""Largest relative error of a rate if it, or the time between two frames, was stored in single precision."""
-
+_RATE_ROUNDING = 2.0**-22  # largest relative error of a rate that was stored in single precision, or whose step was
 _STEP_ROUNDING = 2e-4  # largest relative error of the rate of a single step, less than the distance of 24 from 23.976
-
-MAX_GRID_RATE = 60.0
-"""Highest rate in Hz whose frames alone are evidence; finer ones hold hundredths of seconds and ticks as well."""
-
+MAX_GRID_RATE = 60.0  # highest rate in Hz whose frames alone are evidence; finer ones hold any hundredths as well
 _EXACT_FRAMES = 1e-9  # largest distance of times from frames, in frames, that needs more than single precision
 
 

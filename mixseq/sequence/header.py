@@ -162,14 +162,8 @@ class SequenceHeader:
 
     def with_times(self, times: ArrayLike, fps: float | None = None) -> SequenceHeader:
         """Return the header of the same mesh with other frame times."""
-        return SequenceHeader(
-            **{
-                **header_fields(self),
-                "times": np.asarray(times, dtype=np.float64),
-                "fps": self.fps if fps is None else fps,
-                "keys": None,
-            }
-        )
+        changes = {"times": times, "fps": self.fps if fps is None else fps, "keys": None}
+        return SequenceHeader(**header_fields(self) | changes)
 
 
 def header_fields(header: SequenceHeader) -> dict[str, Any]:

@@ -235,8 +235,7 @@ def bounding_diagonal(points: FloatArray) -> float:
     return Diagonal.from_points(points).length
 
 
-_POINT_RATIO = 2.0**-20
-"""Ratio of the diagonal to the largest coordinate or diagonal up to which a frame is a point, rounded to float32."""
+_POINT_RATIO = 2.0**-20  # ratio of the diagonal to the largest coordinate, or diagonal, up to which a frame is a point
 
 
 def reference_diagonal(blocks: Iterable[FloatArray]) -> Diagonal:
@@ -342,7 +341,6 @@ def _as_points(points: ArrayLike) -> FloatArray:
 
 MAX_BLOCK_FRAMES = 8
 MAX_BLOCK_VERTICES = 1 << 20  # vertices in all frames of a block with several frames: 24 MB of float64
-
 MIN_LENGTH, MAX_LENGTH = 1e-60, 1e60  # limits of the diagonal and of coordinates, in any unit
 _RELATIVE_ROUNDING_ERROR = 2.0**-40  # rounding error of a coordinate, without cancellation
 
@@ -436,8 +434,7 @@ def rounding_error(coordinate: float) -> float:
     return coordinate * _RELATIVE_ROUNDING_ERROR
 
 
-_SINGLE_ROUNDING = 2 * 3**0.5 * 2.0**-24
-"""Largest distance by which a point is moved by being rounded to float32 twice, relative to its largest coordinate."""
+_SINGLE_ROUNDING = 2 * 3**0.5 * 2.0**-24  # largest relative shift of a point that is rounded to float32 twice
 
 
 def rounding_margin(bound: float, *coordinates: float) -> float:

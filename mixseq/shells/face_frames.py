@@ -132,8 +132,7 @@ def flat_triangles(lengths: Float) -> Float:
     return np.stack([zero, zero, l01, zero, x, y], axis=1).reshape(-1, 3, 2)
 
 
-MIN_HEIGHT_RATIO = 1e-12
-"""Ratio of a triangle's height to its side up to which its normal is any perpendicular to its first side."""
+MIN_HEIGHT_RATIO = 1e-12  # ratio of height to side up to which the normal is any perpendicular to the first side
 
 
 def triangle_frames(x: Float, faces: IntArray) -> Float:

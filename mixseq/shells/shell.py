@@ -33,31 +33,15 @@ from mixseq.types import Float, Index, Mask
 
 POWER_ITERATIONS = 15  # number of power iterations for the largest curvature
 CURVATURE_SAFETY_FACTOR = 1.3  # safety factor of the largest curvature, which is underestimated at the reference
-
-CURVATURE_RANGE = 30.0
-"""Ratio of the largest to the least curvature that relaxation reduces; errors of softer modes remain."""
-
-SLENDER_HEIGHT_RATIO = 0.25
-"""Ratio of a triangle's height to its longest side below which its hinges have less weight: their angles are noisy."""
-
-MIN_AREA_RATIO = 0.7
-"""Least ratio of a triangle's area to its typical area in gradients; smaller areas would destabilise the iteration."""
-
+CURVATURE_RANGE = 30.0  # ratio of the largest to the least curvature that is reduced; softer errors remain
+SLENDER_HEIGHT_RATIO = 0.25  # height to longest side below which hinges have less weight, as angles are noisy
+MIN_AREA_RATIO = 0.7  # least ratio of area to typical area in gradients, below which the iteration is unstable
 ZERO_AREA_HEIGHT_RATIO = 1e-6  # ratio of height to longest side below which a triangle is degenerate
-
-ROUNDED_HEIGHT = 2.0**-19
-"""Height in diagonals below which a triangle is degenerate: twice the rounding step of reference frames."""
-
+ROUNDED_HEIGHT = 2.0**-19  # height of degenerate triangles in diagonals: twice the rounding step of references
 DIFFERENCE_STEP_EDGES = 1e-4  # step of difference quotients, relative to the median edge length
-
-MIN_HEIGHT_RATIO = 1e-6
-"""Ratio of height to longest side below which triangles of the initial mesh are collapsed; their angles are noise."""
-
-MIN_HINGE_NEARNESS = 0.5
-"""The `hinge_nearness` of errors of a right angle; above this value, zero energy implies zero errors."""
-
-EXACT_MEAN_RESIDUAL = 1e-8
-"""Mean weighted residual below which the lengths and angles of a mesh count as exact; it is not relaxed."""
+MIN_HEIGHT_RATIO = 1e-6  # ratio of height to longest side of collapsed triangles at the start, whose angles are noise
+MIN_HINGE_NEARNESS = 0.5  # the `hinge_nearness` of a right angle; above it, zero energy implies zero errors
+EXACT_MEAN_RESIDUAL = 1e-8  # mean weighted residual of exact lengths and angles, which are not relaxed
 
 BENDING_WEIGHT = 0.25
 r"""Weight :math:`\beta` of an angle in radians relative to a relative change of length."""

@@ -22,7 +22,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -36,13 +36,9 @@ from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.shells.kernels import add_weighted_sides
 from mixseq.types import Float, Index, Mask
 
-MIN_ROWS_FOR_THREADS = 30_000
-"""Number of rows below which a matrix is factored by one thread, since several matrices are factored at once."""
-
+MIN_ROWS_FOR_THREADS = 30_000  # rows below which one thread factors a matrix, as several are factored at once
 _DEFAULT_THREADS = 4  # default number of threads of rslab
-
-_UNREACHABLE_WORK = 1 << 62
-"""Amount of work above which rslab solves on its global pool, which a forked process cannot replace."""
+_UNREACHABLE_WORK = 1 << 62  # work above which rslab solves on its global pool, which a fork cannot replace
 
 
 class Factor:
@@ -56,17 +52,18 @@ class Factor:
         return np.asarray(self._solve(np.ascontiguousarray(right)), dtype=np.float64)
 
 
-class Analysis(Protocol):
+class Analysis(NamedTuple):
     """Symbolic factorisation of a pattern."""
 
-    def factor(self, values: Float) -> Factor:
-        """Factor the matrix with values ``(N,)`` of the lower triangle, in the order of the pattern."""
+    factor: Callable[[Float], Factor]  # factors the matrix with values (N,) of the lower triangle, as in the pattern
 
 
 def analyse(starts: Index, rows: Index) -> Analysis:
     """Analyse the pattern of a symmetric positive definite matrix: starts ``(n + 1,)``, rows ``(N,)``."""
+    if len(starts) == 1:
+        return Analysis(lambda values: Factor(lambda right: right))
     rslab = _rslab()
-    return _SuperLUAnalysis(starts, rows) if rslab is None else _RslabAnalysis(rslab, starts, rows)
+    return Analysis(_analyse_by_superlu(starts, rows) if rslab is None else _analyse_by_rslab(rslab, starts, rows))
 
 
 def factorise(matrix: sparse.sparray) -> Factor:
@@ -287,64 +284,47 @@ def _singular_error(error: Exception) -> ReconstructionError:
     return ReconstructionError(f"a linear system has no unique solution: {error}")
 
 
-class _RslabAnalysis:
-    def __init__(self, rslab: Any, starts: Index, rows: Index) -> None:
-        size = len(starts) - 1
-        self._threads = 1 if size < MIN_ROWS_FOR_THREADS else None
-        self._symbolic = None
-        if size:
-            pattern = sparse.csc_array((np.ones(len(rows)), rows, starts), shape=(size, size))
-            self._symbolic = rslab.analyze(
-                pattern,
-                path="ldlt",
-                threads=_pools.request(self._threads),
-                solve_par_min_work=_UNREACHABLE_WORK,
-            )
+def _analyse_by_rslab(rslab: Any, starts: Index, rows: Index) -> Callable[[Float], Factor]:
+    size = len(starts) - 1
+    threads = 1 if size < MIN_ROWS_FOR_THREADS else None
+    pattern = sparse.csc_array((np.ones(len(rows)), rows, starts), shape=(size, size))
+    limits = {"threads": _pools.request(threads), "solve_par_min_work": _UNREACHABLE_WORK}
+    symbolic = rslab.analyze(pattern, path="ldlt", **limits)
 
-    def factor(self, values: Float) -> Factor:
-        if self._symbolic is None:
-            return Factor(lambda right: right)
+    def factor(values: Float) -> Factor:
         if not np.isfinite(values).all():
             raise _singular_error(ValueError("values are not finite"))
         try:
-            factor = self._symbolic.factor(values, threads=_pools.request(self._threads))
+            factored = symbolic.factor(values, threads=_pools.request(threads))
         except RuntimeError as error:
             raise _singular_error(error) from None
-        return Factor(lambda right: (factor.solve if right.ndim == 1 else factor.solve_many)(right))
+        return Factor(lambda right: (factored.solve if right.ndim == 1 else factored.solve_many)(right))
+
+    return factor
 
 
-class _SuperLUAnalysis:
-    """Indices of the values of both triangles, because SuperLU does not store an analysis.
+def _analyse_by_superlu(starts: Index, rows: Index) -> Callable[[Float], Factor]:
+    """Find the indices of the values of both triangles, because SuperLU does not store an analysis.
 
     SuperLU runs in symmetric mode with ``relax=1``. Otherwise, it joins columns to supernodes against the minimum
     degree ordering, which takes ten times as long.
     """
+    size = len(starts) - 1
+    columns = np.repeat(np.arange(size), np.diff(starts))
+    number = np.arange(1, len(rows) + 1)
+    below = rows > columns
+    places = np.concatenate([rows, columns[below]]), np.concatenate([columns, rows[below]])
+    full = sparse.coo_array((np.concatenate([number, number[below]]), places), shape=(size, size)).tocsc()
+    full.sort_indices()
+    source = full.data.astype(np.int64) - 1
 
-    def __init__(self, starts: Index, rows: Index) -> None:
-        self._starts, self._rows = starts, rows
-
-    @cached_property
-    def _both(self) -> tuple[Index, sparse.csc_array]:
-        """Index of each value in the lower triangle, and the full matrix."""
-        size = len(self._starts) - 1
-        columns = np.repeat(np.arange(size), np.diff(self._starts))
-        number = np.arange(1, len(self._rows) + 1)
-        below = self._rows > columns
-        i = np.concatenate([self._rows, columns[below]])
-        j = np.concatenate([columns, self._rows[below]])
-        full = sparse.coo_array((np.concatenate([number, number[below]]), (i, j)), shape=(size, size)).tocsc()
-        full.sort_indices()
-        return full.data.astype(np.int64) - 1, full
-
-    def factor(self, values: Float) -> Factor:
-        source, full = self._both
-        if not full.shape[0]:
-            return Factor(lambda right: right)
+    def factor(values: Float) -> Factor:
         matrix = sparse.csc_array((values[source], full.indices, full.indptr), shape=full.shape)
-        options = {"SymmetricMode": True}
         try:
-            solve = splu(matrix, "MMD_AT_PLUS_A", 0.0, relax=1, options=options).solve
+            solve = splu(matrix, "MMD_AT_PLUS_A", 0.0, relax=1, options={"SymmetricMode": True}).solve
         except RuntimeError as error:
             raise _singular_error(error) from None
         # SuperLU sums in another order for several columns.
         return Factor(lambda right: solve(right) if right.ndim == 1 else np.stack(list(map(solve, right.T)), axis=1))
+
+    return factor

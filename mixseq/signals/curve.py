@@ -29,8 +29,7 @@ from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.low_memory import LargeArray, from_columns
 from mixseq.types import Float
 
-MIN_KNOT_SPACING = 1e-100
-"""Least time between knots in seconds; in double precision its third power is still a valid divisor."""
+MIN_KNOT_SPACING = 1e-100  # least time between knots in seconds, whose third power is still a valid divisor
 
 
 @dataclass(frozen=True, eq=False)

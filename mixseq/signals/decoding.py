@@ -227,9 +227,7 @@ class RigMotion(Decodable):
 
 
 MAX_FRAME_FACTOR = 8  # largest number of frames of a delivery per frame of its motion
-
-FRAME_BOUND_RATIO = 0.75
-"""Ratio of the bound at frames to the bound between them. Keys take fewer bytes than accuracy at frames."""
+FRAME_BOUND_RATIO = 0.75  # bound at frames relative to that between them: keys take fewer bytes than accuracy
 
 
 def quarter_times(times: Float) -> Float:

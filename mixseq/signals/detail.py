@@ -40,8 +40,7 @@ from mixseq.signals.pose import Modes, principal_modes
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.mixed.construction import faces_without_area
 from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, insert_midpoints
-from mixseq.spaces.temporal_pieces import Timing
+from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, Timing, insert_midpoints
 from mixseq.types import Float, FloatArray, Index, evenly_spaced
 
 DeviationNorm = Callable[[Float], Float]
@@ -99,15 +98,9 @@ def least_squares_curve(times: Float, values: Float, inner: Float) -> Curve:
 
 OPERATOR_VERTICES = 256  # number of vertices from which the temporal operator is selected
 FRAMES_IN_BODY_AXES = 1024  # number of frames whose samples are brought into body axes together
-
-MOTION_VERTICES = 64
-"""Number of vertices in world axes by which breaks of speed and slopes beside held frames are selected."""
-
-MIN_SCORE_SCALE = 1e-200
-"""Least scale, in diagonals, of the scores of a mode; their rounding step is proportional to the scale."""
-
-CORRECTION_STEP = 2.0**-24
-"""Rounding step, in diagonals and radians, of the corrections of exact models, which are zero at frames."""
+MOTION_VERTICES = 64  # vertices by which breaks of speed, and slopes beside held frames, are selected
+MIN_SCORE_SCALE = 1e-200  # least scale, in diagonals, of scores of a mode, to which their step is proportional
+CORRECTION_STEP = 2.0**-24  # rounding step, in diagonals and radians, of corrections of exact models
 
 
 class InterpolatedPoses(NamedTuple):
@@ -116,7 +109,7 @@ class InterpolatedPoses(NamedTuple):
     times: Float  # (n,) frames and midpoints, in seconds, and twice the breaks
     weights: tuple[FrameWeights, ...]  # weights of the frames at these times, of every group
     quarter_times: Float  # (m,) frames and points at quarters of the intervals, in seconds, and twice the breaks
-    part_poses: Float  # (m, ...) part poses in body axes, at the quarter points
+    part_poses: Poses  # (m, p) part poses in body axes, at the quarter points
     placement: Float  # (m, P) placements at the quarter points
 
 
@@ -161,8 +154,8 @@ class EncodedSequence:
         weights = tuple(operator.weights_at(times) for operator in self.operators)
         return InterpolatedPoses(times, weights, quarter_times, *self.interpolate_poses(quarter_times))
 
-    def interpolate_poses(self, times: Float) -> tuple[Float, Float]:
-        """Interpolate target part poses ``(N, ...)`` and placements ``(N, P)`` at times ``(N,)``."""
+    def interpolate_poses(self, times: Float) -> tuple[Poses, Float]:
+        """Interpolate target part poses ``(N, p)`` and placements ``(N, P)`` at times ``(N,)``."""
         poses = [self.space.interpolate_poses(each, self.poses, self.placement, times) for each in self.operators]
         return self.space.merge_poses(poses, self.group_of_vertex) if len(poses) > 1 else poses[0]
 
@@ -236,7 +229,7 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
         round_key_shapes(shapes, encoded.space, detail.step)
     key_poses = shapes[:, encoded.pose_columns]
 
-    def corrections(time: Curve, times: Float, targets: Float) -> Float:
+    def corrections(time: Curve, times: Float, targets: Poses) -> Float:
         if len(encoded.header.times) <= 2:  # no inner frame to judge interpolation in time by: poses are blended
             return np.zeros((len(times), encoded.space.correction_dim))
         poses = np.empty((len(times), key_poses.shape[1]))
@@ -271,8 +264,8 @@ def find_rounding_step(shapes: Float, space: ShapeSpace) -> float:
     return float(2.0 ** lowest[digits > 0].min(initial=0.0))
 
 
-Corrections = Callable[[Curve, Float, Float], Float]
-"""Function from a time signal, times ``(N,)`` and target part poses ``(N, ...)`` to corrections ``(N, C)``."""
+Corrections = Callable[[Curve, Float, Poses], Float]
+"""Function from a time signal, times ``(N,)`` and target part poses ``(N, p)`` to corrections ``(N, C)``."""
 
 
 def _fit_curves_with_knots(
@@ -370,14 +363,9 @@ def _inner_knots(knots: int | ArrayLike, times: Float) -> Float:
     return inner
 
 
-VISUALLY_LOSSLESS_TOLERANCE = 5e-4
-"""Default tolerance in diagonals: half a pixel where the mesh fills a picture of 1000 pixels."""
-
+VISUALLY_LOSSLESS_TOLERANCE = 5e-4  # in diagonals: half a pixel where the mesh fills 1000 pixels
 EXACT_TOLERANCE = 1e-8  # tolerance of exact models in diagonals, which allows for rounding errors
-
-EXACT_ROUNDING_STEP = 2.0**-38
-"""Rounding step of the signals of exact models in diagonals; frames are off by about 1e-11."""
-
+EXACT_ROUNDING_STEP = 2.0**-38  # rounding step of exact models in diagonals; frames are off by about 1e-11
 TOLERANCE_TO_STEP_RATIO = 64  # initial ratio of the tolerance to the rounding step of signals
 SUFFICIENT_ERROR_RATIO = 0.6  # ratio of error to tolerance above which a model is accepted without further coarsening
 MAX_TRIAL_MODELS = 7  # largest number of models in the search before the finest model is tried

@@ -55,8 +55,7 @@ from mixseq.signals.model import Model
 from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make_space, space_settings
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
-from mixseq.spaces.temporal import FrameWeights
-from mixseq.spaces.temporal_pieces import Timing
+from mixseq.spaces.temporal import FrameWeights, Timing
 from mixseq.types import Float, FloatArray, Int32, evenly_spaced
 
 MIN_VALIDATED_FRAMES = 4  # least number of frames of a sequence for cross-validation
@@ -129,9 +128,7 @@ def _rms_errors(elements: tuple[Int32, Int32], points: Iterable[Float], expected
     return np.sqrt(squares / len(expected))
 
 
-FIT_STAGES = 2 + SPACE_STAGES
-"""Number of progress stages, without the search for a tolerance: reading frames, making the space, encoding."""
-
+FIT_STAGES = 2 + SPACE_STAGES  # progress stages without a search: reading frames, making the space, encoding
 _SHELL_ACCURACY_RATIO = 10.0  # ratio of the tolerance of frames to the accuracy of fits to lengths and angles
 
 
@@ -328,11 +325,7 @@ def _rounding_share(frames: FrameStore, tolerance: float) -> float:
 
 
 def _check_options(
-    exact: bool,
-    tolerance: float | None,
-    rank: int | None,
-    knots: int | ArrayLike | None,
-    between: BetweenName,
+    exact: bool, tolerance: float | None, rank: int | None, knots: int | ArrayLike | None, between: BetweenName
 ) -> None:
     if exact and not (tolerance is None and rank is None and knots is None):
         raise SettingsError("exact models keep everything; leave out tolerance, rank and knots, or exact")

@@ -33,7 +33,7 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.signals.pose import Plane, PoseMap, fit_plane
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.temporal_pieces import Timing
+from mixseq.spaces.temporal import Timing
 from mixseq.types import Float, IntArray
 
 if TYPE_CHECKING:
@@ -41,8 +41,7 @@ if TYPE_CHECKING:
     from mixseq.spaces.mixed.mixed_space import MixedSpace
 
 
-BLENDED_NUMBERS = 1 << 17
-"""Number of coordinates of key shapes that stay in the cache of a core while they are blended for several frames."""
+BLENDED_NUMBERS = 1 << 17  # coordinates of key shapes that stay in a core's cache while several frames are blended
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,20 +176,6 @@ class Model(Decodable, PickledWithoutCaches):
     def curves(self) -> tuple[Curve, Curve, Curve]:
         """The time, placement and correction curves."""
         return self.time, self.placement, self.correction
-
-    def with_motion(
-        self, time: Curve, placement: Curve, correction: Curve, header: SequenceHeader | None = None
-    ) -> Model:
-        """Return the model with another motion and the same shapes.
-
-        Parameters
-        ----------
-        time, placement, correction : Curve
-            Signals of the new motion.
-        header : SequenceHeader, optional
-            Header with the times of the new frames; by default the header of this model.
-        """
-        return self.edited(header=header or self.header, time=time, placement=placement, correction=correction)
 
     def edited(self, **changes: Any) -> Model:
         """Return the model with other fields, and mark it as edited: it is no longer within a bound of its source.
@@ -337,7 +322,13 @@ class Model(Decodable, PickledWithoutCaches):
 
     def check_plane(self, plane: Plane) -> Plane:
         """Return a plane; raise `SettingsError` if it does not fit the pose and shape signals of this model."""
-        return plane.check(len(self.shapes), self.time.dim)
+        if (len(plane.origin), len(plane.directions)) != (len(self.shapes), self.time.dim):
+            raise SettingsError(
+                f"the plane is of {len(plane.origin)} key shapes and {len(plane.directions)} coordinates of pose "
+                f"space, the model has {len(self.shapes)} and {self.time.dim}; give the plane of a model with the "
+                "same pose and shape signals"
+            )
+        return plane
 
     @cached_property
     def plane(self) -> Plane:

@@ -245,11 +245,8 @@ def _significant_modes(sizes: Float) -> Index:
     return np.flatnonzero(is_significant)[np.argsort(-sizes[is_significant], kind="stable")]
 
 
-NEGLIGIBLE_SPREAD = 1e-12
-"""Ratio to the largest spread of frames along an axis below which a spread is a rounding error."""
-
-MIN_STEP_SPREAD = 1e-4
-"""Least spread of frames along an axis with a step in pose space, in diagonals and relative to the largest."""
+NEGLIGIBLE_SPREAD = 1e-12  # ratio to the largest spread along an axis below which a spread is a rounding error
+MIN_STEP_SPREAD = 1e-4  # least spread along an axis with a step, in diagonals and relative to the largest
 
 
 class Plane(NamedTuple):
@@ -258,16 +255,6 @@ class Plane(NamedTuple):
     origin: Float  # (K,) mean weights of the key shapes
     axes: Float  # (K, 2) ``(weights - origin) @ axes`` are coordinates in the plane; zero without a spread
     directions: Float  # (k, 2) smallest steps in pose space that move by one along an axis; zero without a spread
-
-    def check(self, shapes: int, coordinates: int) -> Plane:
-        """Return the plane; raise `SettingsError` for other numbers of key shapes or pose coordinates."""
-        if (len(self.origin), len(self.directions)) != (shapes, coordinates):
-            raise SettingsError(
-                f"the plane is of {len(self.origin)} key shapes and {len(self.directions)} coordinates of pose "
-                f"space, the model has {shapes} and {coordinates}; give the plane of a model with the "
-                "same pose and shape signals"
-            )
-        return self
 
 
 def fit_plane(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plane:

@@ -52,12 +52,10 @@ from mixseq.signals.model import Model
 from mixseq.spaces.making import MixedSettings, make_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace, as_mixed
 from mixseq.spaces.temporal import Poses
-from mixseq.types import Float, IntArray
+from mixseq.types import Float
 
 AXIS_ITERATIONS = 100  # number of iterations by which body axes and part axes of two bodies are matched
-
-MIN_INDEPENDENCE = 1e-9
-"""Least distance of the weights of a key pose from the span of the others, relative to the largest weights."""
+MIN_INDEPENDENCE = 1e-9  # least distance of a key pose from the span of the others, relative to the largest weights
 
 
 @public
@@ -87,11 +85,7 @@ def key_poses(model: Model) -> MeshSequence:
 
 @public
 def with_body(
-    model: Model,
-    keys: FileOr[Frames],
-    name: str,
-    parts: ArrayLike | None = None,
-    turn: ArrayLike | None = None,
+    model: Model, keys: FileOr[Frames], name: str, parts: ArrayLike | None = None, turn: ArrayLike | None = None
 ) -> Model:
     """Give a model another body, which moves by the same time and pose signals with its own key shapes.
 
@@ -171,7 +165,8 @@ def make_body(model: Model, keys: Frames, name: str, parts: ArrayLike | None, tu
     has_same_faces = np.array_equal(keys.header.faces, model.header.faces)
     labels = model.parts if parts is None and has_same_faces else parts
     space = as_mixed(make_space(frames, settings=MixedSettings(parts=labels)))
-    corresponds = labels is not None and _has_parts(space, np.asarray(labels), len(first.decomposition.parts))
+    cut, part_count = space.decomposition, len(first.decomposition.parts)
+    corresponds = labels is not None and len(cut.parts) == part_count and np.array_equal(cut.part_of_face, labels)
     if corresponds and has_same_faces:
         shared = {name: getattr(first, name) for name in ("steadiness", "skinning_weights", "joint_faces")}
         space = replace(space, **shared)
@@ -201,12 +196,6 @@ def make_body(model: Model, keys: Frames, name: str, parts: ArrayLike | None, tu
             warn_of_loss(model.header, text, "a body with the same triangles, or parts, keeps them")
     header = replace(keys.header, name=name, provenance=with_other_motion(keys.header.provenance), keys=None)
     return replace(body, header=header, shapes=shapes, part_turns=turns)
-
-
-def _has_parts(space: MixedSpace, labels: IntArray, count: int) -> bool:
-    """Return whether a space has a number of parts, with the given labels ``(F,)`` of triangles."""
-    decomposition = space.decomposition
-    return len(decomposition.parts) == count and np.array_equal(decomposition.part_of_face, labels)
 
 
 def _part_rotations(space: MixedSpace, shapes: Float) -> Float:

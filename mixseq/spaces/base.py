@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from mixseq.shells.fitting import ShellReport
 
 
-ANGLE_WEIGHT = 0.3
-"""Weight of a dihedral angle in radians, relative to the length of the hinge's edge, in the metrics of all spaces."""
-
+ANGLE_WEIGHT = 0.3  # weight of a dihedral angle in radians, relative to its edge's length, in all metrics
 MIN_GYRATION_RADIUS = 1e-3  # least radius of gyration of a part in metrics, in diagonals
 
 
@@ -138,21 +136,21 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """
         return None
 
-    def merge_poses(self, poses: Sequence[tuple[Float, Float]], group_of_vertex: Index) -> tuple[Float, Float]:
+    def merge_poses(self, poses: Sequence[tuple[Poses, Float]], group_of_vertex: Index) -> tuple[Poses, Float]:
         """Merge results of `interpolate_poses` with the operators of all groups; by default there are no poses."""
         return poses[0]
 
     def interpolate_poses(
         self, operator: TemporalOperator, poses: Float, placements: Float, times: Float
-    ) -> tuple[Float, Float]:
+    ) -> tuple[Poses, Float]:
         """Interpolate part poses ``(T, pose_dim)`` and placements ``(T, P)`` of the frames at times ``(N,)``.
 
-        Returns target poses ``(N, ...)`` for `pose_corrections`, and placements ``(N, P)``. Spaces without parts chain
-        rotations and add weighted centres.
+        Returns poses ``(N, p)`` of parts in body axes, the targets of `pose_corrections`, and placements ``(N, P)``.
+        Spaces without parts chain rotations and add weighted centres.
         """
         weights = operator.weights_at(times)
         placed = interpolate_poses(weights, self.unpack_placements(placements))
-        return np.zeros((len(times), 0)), self.pack_placements(placed)
+        return Poses(np.zeros((len(times), 0, 4)), np.zeros((len(times), 0, 3))), self.pack_placements(placed)
 
     def to_body_axes(self, points: Float, vertex_ids: Index, placements: Float) -> Float:
         """Return points ``(T, n, 3)`` of vertices ``(n,)`` in the axes of their bodies; by default unchanged."""
@@ -162,8 +160,8 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """Return the signs ``(pose_dim,)``, 1 or -1, that align quaternions of poses with previous quaternions."""
         return np.ones(self.pose_dim)
 
-    def pose_corrections(self, poses: Float, targets: Float) -> Float:
-        """Return the corrections ``(N, C)`` that move blended part poses ``(N, pose_dim)`` to targets ``(N, ...)``."""
+    def pose_corrections(self, poses: Float, targets: Poses) -> Float:
+        """Return the corrections ``(N, C)`` that move blended part poses ``(N, pose_dim)`` to targets ``(N, p)``."""
         return np.zeros((len(poses), 0))
 
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:

@@ -30,14 +30,13 @@ import numpy as np
 from mixseq.errors import ReconstructionError
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix, unwrap_rotvec
-from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import replace_degenerate, triangle_matrices
 from mixseq.runtime.lazy import cached_property
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.shells.solvers import PoissonSystem
-from mixseq.spaces.base import ShapeSpace, flatten_blocks
-from mixseq.spaces.pieces import Pieces
+from mixseq.spaces.base import flatten_blocks
+from mixseq.spaces.pieces import PiecewiseSpace
 from mixseq.types import Float, FloatArray, Index
 
 SYMMETRIC_ENTRIES = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
@@ -55,23 +54,10 @@ class GradientBlocks(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class GradientSpace(ShapeSpace):
-    """Deformation gradients of all faces from a reference."""
+class GradientSpace(PiecewiseSpace):
+    """Deformation gradients of all faces from a reference, in which faces without area are replaced."""
 
-    topology: Topology
-    scale: float  # unit of errors, see `reference_diagonal`, in the units of the sequence
-    reference: Float  # (V, 3) first frame in diagonals, with faces without area replaced
     name = "gradient"
-
-    @cached_property
-    def pieces(self) -> Pieces:
-        """Hinge-connected pieces of the mesh."""
-        return Pieces.from_mesh(self.topology, self.reference)
-
-    @cached_property
-    def face_rows(self) -> Index:
-        """Rows ``(F, 3)`` of the corners of faces; pieces share no rows."""
-        return self.pieces.face_rows(self.topology)
 
     @cached_property
     def side_rows(self) -> Index:
@@ -105,11 +91,6 @@ class GradientSpace(ShapeSpace):
         cotangents = cosines / areas[:, None]
         fixed_mask = np.zeros(len(self.pieces.vertex_of_row), dtype=bool)
         return PoissonSystem(self.side_rows, 0.5 * cotangents.reshape(-1), fixed_mask)
-
-    @property
-    def vertex_count(self) -> int:  # type: ignore[override]
-        """Implement `ShapeSpace.vertex_count`."""
-        return self.topology.vertex_count
 
     @property
     def dim(self) -> int:

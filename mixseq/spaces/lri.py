@@ -41,11 +41,6 @@ class LRISpace(PosedSpace):
     name = "lri"
 
     @cached_property
-    def face_rows(self) -> Index:
-        """Rows ``(F, 3)`` of the corners of faces; pieces share no rows."""
-        return self.pieces.face_rows(self.topology)
-
-    @cached_property
     def edge_rows(self) -> Index:
         """Edges ``(E, 2)`` as pairs of rows i < j, except edges of triangles with repeated corners."""
         piece = np.empty(len(self.topology.edges), dtype=np.int64)

@@ -13,7 +13,7 @@ from mixseq.choices import SPACES, PlacementName, ProjectionName, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import edge_lengths
 from mixseq.mesh.topology import Topology
-from mixseq.runtime.low_memory import LargeArray, return_freed_memory
+from mixseq.runtime.low_memory import return_freed_memory
 from mixseq.runtime.parallel import Executor, serial_executor
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
 from mixseq.segmentation.joints import (
@@ -167,22 +167,15 @@ def _make_mixed_space(
     topology = Topology(header.faces, header.vertex_count)
     labels = segment_faces(frames, settings, topology)
     return_freed_memory()
-    motion = _measure_motion(topology, labels, points, workers, stages.at(1))
+    shapes = PartShapes.from_labels(topology, labels, points[sample_frame_ids(len(points))])
+    blocks = workers(measure_part_motion, shapes, iterate_blocks(points))
+    motion = join_part_motion(_with_progress(blocks, len(points), stages.at(1)))
     decomposition = decompose(topology, labels, settings.joint_width, motion)
     return_freed_memory()
     space = mixed_space(points, topology, decomposition, settings.placement, settings.purpose, stages.at(2))
     if space.joint_faces.any():
         return space
     return space.with_weights(topology=Topology(header.faces, header.vertex_count))  # needs no tables of edges
-
-
-def _measure_motion(
-    topology: Topology, labels: Index, points: LargeArray, workers: Executor, progress: Progress
-) -> PartMotion:
-    """Measure the motion of parts ``(F,)`` in points ``(T, V, 3)``."""
-    shapes = PartShapes.from_labels(topology, labels, points[sample_frame_ids(len(points))])
-    blocks = workers(measure_part_motion, shapes, iterate_blocks(points))
-    return join_part_motion(_with_progress(blocks, len(points), progress))
 
 
 def _with_progress(blocks: Iterator[PartMotion], frames: int, progress: Progress) -> Iterator[PartMotion]:

@@ -207,8 +207,8 @@ def _with_width(shape: Float) -> Float:
 
 
 @dataclass(frozen=True, eq=False)
-class PosedSpace(ShapeSpace):
-    """A space with shapes that are invariant under rigid motions of the pieces."""
+class PiecewiseSpace(ShapeSpace):
+    """A space with shapes of the pieces of a mesh."""
 
     topology: Topology  # connectivity of the mesh
     scale: float  # unit of errors, see `reference_diagonal`, in the units of the sequence
@@ -219,10 +219,20 @@ class PosedSpace(ShapeSpace):
         """Hinge-connected pieces of the mesh."""
         return Pieces.from_mesh(self.topology, self.reference)
 
+    @cached_property
+    def face_rows(self) -> Index:
+        """Rows ``(F, 3)`` of the corners of faces; pieces share no rows."""
+        return self.pieces.face_rows(self.topology)
+
     @property
     def vertex_count(self) -> int:  # type: ignore[override]
         """Implement `ShapeSpace.vertex_count`."""
         return self.topology.vertex_count
+
+
+@dataclass(frozen=True, eq=False)
+class PosedSpace(PiecewiseSpace):
+    """A space with shapes that are invariant under rigid motions of the pieces."""
 
     @property
     @abstractmethod

@@ -195,7 +195,7 @@ def rows(case: str) -> Iterator[tuple[str, ...]]:
             found += [solve(ids, targets / scale, start) * scale for solve in solvers]
             is_free = count >= MIN_HANDLES_OF_FREE_BODY
             solvers_of_stills = [StillSolver(still, rows_of(still, ids), DEFAULT_SOFTNESS, is_free) for still in stills]
-            found += [solver.points(solver.solve(targets)) for solver in solvers_of_stills]
+            found += [solver.points(0.0, solver.solve(0.0, targets)) for solver in solvers_of_stills]
             errors = [
                 (
                     float(np.sqrt(np.square(x - expected).sum(axis=1).mean()) / scale),

@@ -85,7 +85,7 @@ def test_signals_are_those_of_the_exact_model(model: CompressedModel) -> None:
 def test_edits_are_plain_models(model: CompressedModel) -> None:
     edited = replace(model, placement=Curve(model.placement.times, model.placement.values + 0.0))
     assert type(edited) is Model
-    assert type(model.with_motion(*model.curves)) is Model
+    assert type(model.edited(time=model.time)) is Model
 
 
 def test_it_is_fitted_once(model: CompressedModel, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -335,10 +335,7 @@ def test_a_tube_through_a_floor(sides: int) -> None:
 def crossing_tubes(sides: int) -> Mesh:
     """A thin tube through two opposite walls, and through one triangle of each, of a wide one with four walls."""
     turn = rotation((0, 0, np.pi / 4))  # walls face x and y
-    wide, thin = (
-        tube(4, 2, length=4, radius=2, closed=False),
-        tube(sides, 2, length=8, radius=0.1, closed=False),
-    )
+    wide, thin = (tube(4, 2, length=4, radius=2, closed=False), tube(sides, 2, length=8, radius=0.1, closed=False))
     moved = thin[0][:, [2, 0, 1]] + [-4, 0.5, 1.0]
     return joined((wide[0] @ turn.T, wide[1]), (moved, thin[1]))
 

@@ -118,8 +118,7 @@ def by_lapack(matrices: Float) -> Float:
 
 
 @pytest.mark.parametrize(
-    "values",
-    [[1, 0.5, 0.2], [1, 0.5, -0.2], [1, 1, 1], [1, 1, 0], [1, 1, -0.5], [1, 1e-3, 1e-4], [1, 1e-3, -1e-4]],
+    "values", [[1, 0.5, 0.2], [1, 0.5, -0.2], [1, 1, 1], [1, 1, 0], [1, 1, -0.5], [1, 1e-3, 1e-4], [1, 1e-3, -1e-4]]
 )
 @pytest.mark.parametrize("scale", [1e-150, 1.0, 1e150])
 def test_nearest_rotations_are_those_of_lapack(values: list[float], scale: float) -> None:

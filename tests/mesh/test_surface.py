@@ -103,10 +103,7 @@ def test_a_mesh_is_its_own_object() -> None:
         ({"uvs": uvs(6)}, "6 texture coordinates for 7 corners"),
         ({"uvs": uvs(values=1)}, "texture coordinates of a corner are number 0 to 1 of 1"),
         ({"uvs": CornerValues(np.zeros((2, 3)), np.zeros(7, int))}, r"shape \(2, 3\), not \(n, 2\)"),
-        (
-            {"colours": CornerValues(np.zeros((2, 3)), np.zeros(7, int))},
-            r"colours have shape \(2, 3\), not \(n, 4\)",
-        ),
+        ({"colours": CornerValues(np.zeros((2, 3)), np.zeros(7, int))}, r"colours have shape \(2, 3\), not \(n, 4\)"),
         ({"colours": CornerValues(np.zeros((2, 4)), np.zeros(6, int))}, "6 colours for 7 corners"),
         ({"hard_edges": np.zeros(8, int)}, "8 hard edges for 7 corners"),
         ({"hard_edges": -np.arange(7)}, "hard edges of a corner are number -6 to 0"),

@@ -50,11 +50,7 @@ EDITS: dict[str, tuple[Edit, Source, list[tuple[float, float]]]] = {
         [(0.0, 0.65), (0.85, 1.15), (1.35, 1.95)],
     ),
     "loop": (lambda model: loop(model, fade=0.1), unchanged, [(0.1, END - 0.1)]),
-    "concatenate": (
-        lambda model: concatenate(cut(model, 0.0, 0.43), cut(model, 0.43, END)),
-        unchanged,
-        [(0.0, END)],
-    ),
+    "concatenate": (lambda model: concatenate(cut(model, 0.0, 0.43), cut(model, 0.43, END)), unchanged, [(0.0, END)]),
     "transition": (lambda model: transition(model, cut(model, 0.3, END), 0.3, 0.2), unchanged, [(0.0, END)]),
     "blend": (lambda model: blend(model, model, 0.4), unchanged, [(0.0, END)]),
     "retime": (

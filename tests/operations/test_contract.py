@@ -358,9 +358,7 @@ def test_saving_twice_changes_nothing(motions: Mapping[str, Motion], tmp_path: P
             assert str(again.header.provenance) == str(motions[form].source.header.provenance)
 
 
-WITHOUT_PARTS = {
-    **dict.fromkeys(("exaggerate_part", "hold", "pose", "with_body"), r"space='mixed'|mixed space"),
-}
+WITHOUT_PARTS = {**dict.fromkeys(("exaggerate_part", "hold", "pose", "with_body"), r"space='mixed'|mixed space")}
 """Why spaces without parts, and models of modes, are refused."""
 
 

@@ -68,8 +68,7 @@ def test_all_signals_of_a_model_are_smoothed() -> None:
         model,
         time=Curve(model.time.times, model.time.values + 0.3 * rng.normal(size=model.time.values.shape)),
         placement=Curve(
-            model.placement.times,
-            model.placement.values + 0.1 * rng.normal(size=model.placement.values.shape),
+            model.placement.times, model.placement.values + 0.1 * rng.normal(size=model.placement.values.shape)
         ),
     )
     calm = smooth(shaken, 0.8)

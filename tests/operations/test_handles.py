@@ -270,13 +270,7 @@ def test_scripts_have_tables_or_files(tmp_path: Path, source: str) -> None:
 
 @pytest.mark.parametrize(
     "handles",
-    [
-        "[1, 2]",
-        "[{part = 1}]",
-        "[{time = 0.4, position = [0, 0, 'x']}]",
-        "[{time = 0, position = [0], foot = 1}]",
-        "1",
-    ],
+    ["[1, 2]", "[{part = 1}]", "[{time = 0.4, position = [0, 0, 'x']}]", "[{time = 0, position = [0], foot = 1}]", "1"],
 )
 def test_other_values_in_scripts_are_refused(tmp_path: Path, handles: str) -> None:
     (tmp_path / "edits.toml").write_text(f'[[edit]]\noperation = "pose"\nhandles = {handles}\n')

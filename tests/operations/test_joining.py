@@ -143,9 +143,7 @@ def test_all_or_nothing_gives_one_of_them(space: SpaceName, share: float) -> Non
     signs = np.where(np.einsum("tgi,tgi->tg", turns, others) < 0, -1.0, 1.0)[:, :, None]
     np.testing.assert_allclose(signs * turns, others, atol=1e-12)
     np.testing.assert_allclose(
-        model.space.unpack_placements(found).centres,
-        model.space.unpack_placements(expected).centres,
-        atol=1e-12,
+        model.space.unpack_placements(found).centres, model.space.unpack_placements(expected).centres, atol=1e-12
     )
 
 

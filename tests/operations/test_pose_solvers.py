@@ -123,7 +123,7 @@ def test_derivatives_are_those_of_differences(form: str) -> None:
         chained = StillSolver(model, rows, 0.01, is_free=True)
         turns = rotation((0.3, -0.5, 0.2)), rotation((-0.4, 0.1, 0.6)), rotation((0.2, 0.7, -0.1))
         shifts = np.where(chained.is_root[:, None], generator.normal(size=(3, 3)), 0.0)
-        given = functions_of(chained, targets, JointRotations(np.stack(turns), shifts))
+        given = functions_of(chained, 0.3, targets, chained.unchanged(), JointRotations(np.stack(turns), shifts))
     else:
         solver = PoseSolver(model, rows, 0.01, is_free=True)
         prior = solver.unchanged()
@@ -154,8 +154,8 @@ def test_solutions_start_from_the_one_before() -> None:
     model, rows = still(3), Handle(0.0, [0, 0, 0], TIP).targets(still(3), MESH[0])[0]
     solver = StillSolver(model, rows, 0.005, is_free=False)
     near, target = (np.asarray(MESH[0][[TIP]] + [0.0, shift, -0.2 * shift]) for shift in (0.95, 1.0))
-    dragged = solver.solve(target, solver.solve(near), rounds=1)
-    np.testing.assert_allclose(solver.points(dragged)[TIP], solver.points(solver.solve(target))[TIP], atol=1e-2)
+    dragged, found = solver.solve(0.0, target, start=solver.solve(0.0, near), rounds=1), solver.solve(0.0, target)
+    np.testing.assert_allclose(solver.points(0.0, dragged)[TIP], solver.points(0.0, found)[TIP], atol=1e-2)
 
 
 @pytest.mark.parametrize(

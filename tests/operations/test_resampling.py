@@ -109,20 +109,10 @@ def model() -> Model:
         ({"start": 0.2, "end": 0.5}, [0.2, 0.3, 0.4, 0.5], [0.2, 0.3, 0.4, 0.5], 1),
         ({"start": 0.15, "end": 0.45}, [0.15, 0.25, 0.35, 0.45], [0.15, 0.25, 0.35, 0.45], 1),
         ({"start": 0.12, "end": 0.18}, [0.12], [0.12], 1),
-        (
-            {"start": 0.6, "speed": 0.5, "reverse": True},
-            0.6 + np.arange(5) / 10,
-            0.8 - np.arange(5) / 20,
-            -0.5,
-        ),
+        ({"start": 0.6, "speed": 0.5, "reverse": True}, 0.6 + np.arange(5) / 10, 0.8 - np.arange(5) / 20, -0.5),
         ({"start": 0.3, "end": 0.3, "speed": 2}, [0.3], [0.3], 2),
         ({"retiming": Retiming.hold(0.33, 1, 1.2)}, [1, 1.1, 1.2], [0.33] * 3, 0),
-        (
-            {"retiming": Retiming.through([-0.1, 0.3], [0, 0.8])},
-            [-0.1, 0, 0.1, 0.2, 0.3],
-            0.2 * np.arange(5),
-            2,
-        ),
+        ({"retiming": Retiming.through([-0.1, 0.3], [0, 0.8])}, [-0.1, 0, 0.1, 0.2, 0.3], 0.2 * np.arange(5), 2),
     ],
     ids=lambda value: ", ".join(value) if isinstance(value, dict) else "",
 )

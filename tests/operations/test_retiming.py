@@ -247,10 +247,7 @@ def test_frames_begin_with_the_output() -> None:
         ([[0.0, 0.0]], "1 output times and 1 source times; two of each, or more"),
         ([[0.0, 0.0], [0.0, 0.5]], "its output times increase"),
         ([[0.0, 0.0], [1.0, np.nan]], "must be finite"),
-        (
-            [[0.0, 0.0], [1.0, 0.9]],
-            "goes beyond the source: time 0.9 s is outside the sequence, 0 to 0.8 s",
-        ),
+        ([[0.0, 0.0], [1.0, 0.9]], "goes beyond the source: time 0.9 s is outside the sequence, 0 to 0.8 s"),
         ([[0.0, 0.0], [1e8, 0.8]], r"1e\+08 s at .* more than 10,000,000 frames"),
     ],
 )

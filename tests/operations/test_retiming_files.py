@@ -50,11 +50,7 @@ def test_files(tmp_path: Path, name: str, text: str) -> None:
         ("a.csv", "0,1\nnan,1", "a.csv, line 2: the times nan, 1 are not finite"),
         ("a.csv", "0,1\n1,inf", "a.csv, line 2: the times 1, inf are not finite"),
         ("a.toml", "key = \n1", "a.toml is not a TOML file: .*line 1"),
-        (
-            "a.toml",
-            f"key = [{{output=0, source=1{'0' * 400}}}]",
-            "a.toml is not a TOML file: 1000.* more than 64 bits",
-        ),
+        ("a.toml", f"key = [{{output=0, source=1{'0' * 400}}}]", "a.toml is not a TOML file: 1000.* more than 64 bits"),
         ("a.toml", "", "a.toml has nothing; tables"),
         ("a.toml", "key = 3", "a.toml has key; tables"),
         ("a.toml", "keys = []", "a.toml has keys; tables"),
@@ -65,11 +61,7 @@ def test_files(tmp_path: Path, name: str, text: str) -> None:
         ("a.toml", "key = [1, 2]", "a.toml, key 1: an output and a source"),
         ("a.toml", "output=[0, 'x']\nsource=[0, 1]", "a.toml, key 2: .* not a time"),
         ("a.toml", "output=[0, 1]\nsource=[0, true]", "a.toml, key 2: .* not a time"),
-        (
-            "a.toml",
-            "output=[0, 0]\nsource=[0, 1]",
-            "a.toml, key 2: the output time 0 is not after 0 of key 1",
-        ),
+        ("a.toml", "output=[0, 0]\nsource=[0, 1]", "a.toml, key 2: the output time 0 is not after 0 of key 1"),
     ],
 )
 def test_files_with_mistakes(tmp_path: Path, name: str, text: str, message: str) -> None:

@@ -142,10 +142,7 @@ def test_keys_beyond_the_source_are_named_in_their_unit(edits: Edits, tmp_path: 
             table('operation = "repeat"\nstart = 0'),
             r"edit 1 \(repeat\): the key 'end' is missing; a number is expected",
         ),
-        (
-            table('operation = "repeat"\nstart = "0"\nend = 1'),
-            r"edit 1 \(repeat\): start is '0'; a number is expected",
-        ),
+        (table('operation = "repeat"\nstart = "0"\nend = 1'), r"edit 1 \(repeat\): start is '0'; a number is expected"),
         (table('operation = "repeat"\nstart = true\nend = 1'), "start is True; a number is expected"),
         (table('operation = "repeat"\nstart = 0\nend = 1\ntimes = 2.0'), "times is 2.0; a whole number is"),
         (table('operation = "repeat"\nstart = 0\nend = 1\ntravel = 1'), "travel is 1; true or false is"),
@@ -154,14 +151,8 @@ def test_keys_beyond_the_source_are_named_in_their_unit(edits: Edits, tmp_path: 
         (table('operation = "concatenate"\nb = 3'), "b is 3; the file of a model is expected"),
         (table('operation = "blend"\nb = "other.h5"\nweight = [1, 2]'), "a number, or pairs of time and"),
         (table('operation = "blend"\nb = "other.h5"\nweight = [[0, 1], [0]]'), "a number, or pairs of time"),
-        (
-            table('operation = "drag"\ntime = 0\nto = 3'),
-            "to is 3; a list of two numbers, x and y, is expected",
-        ),
-        (
-            table('operation = "drag"\ntime = 0\nto = [1, 2, 3]'),
-            "a list of two numbers, x and y, is expected",
-        ),
+        (table('operation = "drag"\ntime = 0\nto = 3'), "to is 3; a list of two numbers, x and y, is expected"),
+        (table('operation = "drag"\ntime = 0\nto = [1, 2, 3]'), "a list of two numbers, x and y, is expected"),
         (table('operation = "drag"\ntime = 0\nto = [0, 0]\nplan = 1'), "its keys are time, to, reach, plane$"),
         *(
             (table(f'operation = "drag"\ntime = 0\nto = [0, 0]\nplane = {plane}'), "a table of the lists origin, axes")
@@ -190,14 +181,8 @@ def test_invalid_scripts_are_refused(edits: Edits, text: str, message: str) -> N
     [
         ("[[edit]", "edits.toml is not a TOML file"),
         (table('operation = "concatenate"\nb = "none.h5"'), r"edit 1 \(concatenate\): b: .*none.h5 does not"),
-        (
-            table('operation = "retime"\nkeys = "none.csv"'),
-            r"edit 1 \(retime\): keys: .*none.csv does not exist",
-        ),
-        (
-            table('operation = "blend"\nb = "other.h5"\nweight = "none.csv"'),
-            "weight: .*none.csv does not exist",
-        ),
+        (table('operation = "retime"\nkeys = "none.csv"'), r"edit 1 \(retime\): keys: .*none.csv does not exist"),
+        (table('operation = "blend"\nb = "other.h5"\nweight = "none.csv"'), "weight: .*none.csv does not exist"),
         (
             table('operation = "blend"\nb = "other.h5"\nweight = "edits.toml"'),
             "edits.toml is not CSV with two numbers on each line",
@@ -250,18 +235,12 @@ def test_files_elsewhere_are_read_where_that_is_allowed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("seconds", "frames"),
     [
-        (
-            'operation = "cut"\nstart = 0.2\nend = 0.6\nat = 1.0',
-            'operation = "cut"\nstart = 2\nend = 6\nat = 10',
-        ),
+        ('operation = "cut"\nstart = 0.2\nend = 0.6\nat = 1.0', 'operation = "cut"\nstart = 2\nend = 6\nat = 10'),
         (
             'operation = "transition"\nb = "other.h5"\nat = 0.4\nduration = 0.2',
             'operation = "transition"\nb = "other.h5"\nat = 4\nduration = 2',
         ),
-        (
-            'operation = "retime"\nkeys = [[0.0, 0.0], [1.2, 0.4]]',
-            'operation = "retime"\nkeys = [[0, 0], [12, 4]]',
-        ),
+        ('operation = "retime"\nkeys = [[0.0, 0.0], [1.2, 0.4]]', 'operation = "retime"\nkeys = [[0, 0], [12, 4]]'),
         (
             'operation = "blend"\nb = "other.h5"\nweight = [[0.0, 0.0], [0.8, 1.0]]',
             'operation = "blend"\nb = "other.h5"\nweight = [[0, 0.0], [8, 1.0]]',
@@ -272,10 +251,7 @@ def test_files_elsewhere_are_read_where_that_is_allowed(tmp_path: Path) -> None:
 def test_scripts_may_speak_in_frames(edits: Edits, seconds: str, frames: str) -> None:
     motion = bar_motion("vertex")
     assert motion.header.fps == 10
-    one, other = (
-        apply(edits(table(seconds)), motion),
-        apply(edits('unit = "frames"\n' + table(frames)), motion),
-    )
+    one, other = (apply(edits(table(seconds)), motion), apply(edits('unit = "frames"\n' + table(frames)), motion))
     np.testing.assert_allclose(other.times, one.times, rtol=0, atol=1e-12)
     np.testing.assert_allclose(other.sample().points, one.sample().points, atol=1e-9)
 
@@ -341,10 +317,7 @@ def test_scripts_that_cannot_be_read(tmp_path: Path) -> None:
         ("a = " + "[" * 30 + "]" * 30, "nested too deeply"),
         ("a" + ".b" * 30 + " = 1", "nested too deeply"),
         (table(f'operation = "exaggerate"\ngain = 1{"0" * 400}'), "1000.* has more than 64 bits"),
-        (
-            table(f'operation = "retime"\nkeys = [[0, 0], [1, -1{"0" * 400}]]'),
-            "-1000.* has more than 64 bits",
-        ),
+        (table(f'operation = "retime"\nkeys = [[0, 0], [1, -1{"0" * 400}]]'), "-1000.* has more than 64 bits"),
     ],
 )
 def test_scripts_that_go_too_far(edits: Edits, text: str, what: str) -> None:

@@ -234,10 +234,7 @@ def test_angles_take_the_short_way() -> None:
         ({"radius": 0.5}, "radius is of where='similar'"),
         ({"where": "similar", "radius": 0.0}, "radius is 0.0; a positive fraction"),
         ({"where": "similar", "radius": np.nan}, "radius is nan"),
-        (
-            {"where": "window", "start": 0.3},
-            r"the window has start 0.3 s; the sculpted time, 0.2 s, must be within",
-        ),
+        ({"where": "window", "start": 0.3}, r"the window has start 0.3 s; the sculpted time, 0.2 s, must be within"),
         ({"where": "window", "start": 0.1, "end": 0.2}, r"start 0.1 s and end 0.2 s"),
         ({"where": "window", "start": -1.0}, r"start is -1 s; the model is from 0 to 0.8 s"),
         ({"time": 0.9}, "time is 0.9 s; the model is from 0 to 0.8 s"),

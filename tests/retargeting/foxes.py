@@ -17,11 +17,12 @@ from tests.meshes import rotation
 
 @dataclass(frozen=True, eq=False)
 class Fox:
-    """A fox, the name of the bone that every vertex is on, and the direction of its left."""
+    """A fox, the name of the bone that every vertex is on, the direction of its left, and its vertices in the walk."""
 
     mesh: MeshSequence
     bones: tuple[str, ...]
     left: Float
+    vertices: Index
 
     @property
     def points(self) -> Float:
@@ -60,6 +61,7 @@ def _thinned(points: Float, count: int, left: Float) -> Fox:
         MeshSequence.from_arrays(points[None, kept], coarse, fps=24),
         tuple(names[bone[v]] for v in kept),
         left,
+        kept,
     )
 
 

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
+from mixseq.mesh.triangle_mesh import TriangleMesh
+from mixseq.retargeting.bodies import subdivide
 from mixseq.retargeting.gradient_transfer import GradientTransfer, gradient_transfer
 from mixseq.retargeting.markers import Correspondence
 from mixseq.types import FloatArray
 from tests.meshes import Mesh, topology_of
 
 
+def surface(mesh: Mesh) -> TriangleMesh:
+    return TriangleMesh(mesh[0], topology_of(mesh))
+
+
 def subdivided(mesh: Mesh) -> Mesh:
     """Every triangle cut into four, the middle one last; the points it had come first, then middles of edges."""
-    points, faces = mesh
-    topology = topology_of(mesh)
-    ab, bc, ca = (len(points) + topology.face_edges).T
-    a, b, c = faces.T
-    cut = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
-    return np.concatenate([points, points[topology.edges].mean(axis=1)]), cut
+    poses, topology = subdivide(mesh[0][None], topology_of(mesh))
+    return np.asarray(poses[0], np.float64), topology.faces.astype(np.int64)
 
 
 def to_subdivided(mesh: Mesh) -> Correspondence:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.retargeting.bodies import Body, CoarseSurface, find_maxima
+from mixseq.retargeting.bodies import CoarseBody, CoarseSurface, find_maxima
 from mixseq.types import Float
 from tests.meshes import grid, joined, rotation, topology_of, tube
 from tests.retargeting.foxes import short, tall
@@ -38,7 +38,7 @@ def test_maxima_of_two_hills() -> None:
 
 def test_tips_of_the_fox() -> None:
     for fox in (short(), tall()):
-        body = Body.from_poses(fox.points[None], fox.topology, 700, np.zeros(0, np.int64))
+        body = CoarseBody.from_poses(fox.points[None], fox.topology, 700, np.zeros(0, np.int64))
         assert {fox.bones[vertex] for vertex in body.surface.vertices[body.tips]} == TIPS
         assert fox.bones[body.surface.vertices[body.mean_distances.argmin()]] in {"pelvis", "belly", "chest"}
 

@@ -12,7 +12,6 @@ import pytest
 
 import mixseq
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.checks import (
     check_facing,
@@ -25,6 +24,7 @@ from mixseq.retargeting.markers import Markers
 from mixseq.types import Float, Index
 from mixseq_io.text.markers import read_markers
 from tests.meshes import grid, joined, rotation, tetrahedron, torus, tube
+from tests.retargeting.pairs import surface
 
 pytestmark = pytest.mark.slow
 
@@ -37,6 +37,11 @@ def creature() -> Float:
     body = [[x, 2 + 0.3 * (z > 1), z] for z in (-2.5, -0.9, 0.8, 2.6) for x in (-0.6, 0.0, 0.7)]
     legs = [[x * (1 + 0.1 * y), y, z + 0.2 * y] for x, z in LEGS for y in (0.0, 0.5, 1.0, 1.5)]
     return np.array(body + legs)
+
+
+def cloud(points: Float) -> TriangleMesh:
+    """Points in triangles, so that none is unused."""
+    return surface((points, np.repeat(np.arange(len(points))[:, None], 3, axis=1)))
 
 
 def ring() -> tuple[Float, Index]:
@@ -72,7 +77,7 @@ def exchanged(*pairs: tuple[int, int]) -> Index:
 def warned(given: Markers, source: Float, target: Float) -> list[str]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        check_markers(given, source, target)
+        check_markers(given, cloud(source), cloud(target))
     assert all(warning.category is MixseqWarning for warning in caught)
     return [str(warning.message) for warning in caught]
 
@@ -142,14 +147,14 @@ def test_conflicts_are_reversed_directions_and_distances_that_differ() -> None:
 
 def test_a_mirrored_target_is_refused() -> None:
     with pytest.raises(SettingsError, match=r"left and right are exchanged in all markers, or one mesh is mirrored"):
-        check_markers(markers(), creature(), other(creature()) * [-1, 1, 1])
+        check_markers(markers(), cloud(creature()), cloud(other(creature()) * [-1, 1, 1]))
 
 
 def test_markers_that_exchange_left_and_right_throughout_are_refused() -> None:
     sides_of_body = [(number, number + 2) for number in range(0, 12, 3)]
     legs = [*zip(leg(0), leg(1), strict=True), *zip(leg(2), leg(3), strict=True)]
     with pytest.raises(SettingsError, match="left and right are exchanged"):
-        check_markers(markers(exchanged(*sides_of_body, *legs)), creature(), other(creature()))
+        check_markers(markers(exchanged(*sides_of_body, *legs)), cloud(creature()), cloud(other(creature())))
 
 
 def test_a_flat_sheet_may_be_turned_over() -> None:
@@ -179,87 +184,82 @@ def test_a_flat_sheet_may_be_turned_over() -> None:
 )
 def test_invalid_markers_are_refused(pairs: list[list[int]], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
-        check_markers(Markers.from_pairs(pairs), creature(), other(creature()))
+        check_markers(Markers.from_pairs(pairs), cloud(creature()), cloud(other(creature())))
 
 
 def test_markers_on_a_line_are_refused() -> None:
     points = creature()
     points[:5] = np.linspace(0, 1, 5)[:, None] * [1, 2, 3]
     with pytest.raises(SettingsError, match="all markers of the source are on one line"):
-        check_markers(Markers.from_pairs([[k, k] for k in range(5)]), points, other(creature()))
+        check_markers(Markers.from_pairs([[k, k] for k in range(5)]), cloud(points), cloud(other(creature())))
 
 
 def test_markers_on_a_plane_cause_a_warning() -> None:
     points = creature()
     points[:6] = [[x, y, 0.0] for x in (-0.5, 0.5) for y in (0.0, 1.0, 2.0)]
     with pytest.warns(MixseqWarning, match="all markers of the source are on one plane"):
-        check_markers(Markers.from_pairs([[k, k] for k in range(6)]), points, points + np.eye(28, 3))
+        check_markers(Markers.from_pairs([[k, k] for k in range(6)]), cloud(points), cloud(points + np.eye(28, 3)))
 
 
 def test_markers_on_vertices_without_triangles_are_refused() -> None:
-    unused = Topology(np.array([[1, 2, 3]]), 28)
+    mesh = surface((creature(), np.array([[1, 2, 3]])))
     with pytest.raises(SettingsError, match=r"marker 1 \(0 -> 0\): no triangle of the source uses"):
-        check_markers(Markers.from_pairs([[0, 0], [1, 1], [2, 2], [3, 3]]), creature(), creature(), unused)
+        check_markers(Markers.from_pairs([[0, 0], [1, 1], [2, 2], [3, 3]]), mesh, mesh)
 
 
 def test_repeated_markers_count_once() -> None:
     pairs = [[0, 0], [1, 1], [2, 2], [1, 1]]
     with pytest.raises(SettingsError, match="3 markers that differ, of 4; at least 4"):
-        check_markers(Markers.from_pairs(pairs), creature(), other(creature()))
+        check_markers(Markers.from_pairs(pairs), cloud(creature()), cloud(other(creature())))
 
 
 def test_unused_vertices_beside_a_flat_mesh_are_ignored() -> None:
     """An unused vertex outside the plane of the markers causes no warning."""
     points, faces = grid(4, 4)
-    points = np.concatenate([points, [[1.0, 1.0, 7.0]]])
-    topology = Topology(faces, len(points))
+    mesh = surface((np.concatenate([points, [[1.0, 1.0, 7.0]]]), faces))
     pairs = [[k, k] for k in (0, 4, 12, 20, 24)]
-    check_markers(Markers.from_pairs(pairs), points, 2 * points, topology, topology)
+    check_markers(Markers.from_pairs(pairs), mesh, mesh)
 
 
 # Inside out ---------------------------------------------------------------------------------------------------
 
 
-def surface(points: Float, faces: Index) -> TriangleMesh:
-    return TriangleMesh(points, Topology(faces, len(points)))
-
-
 @pytest.mark.parametrize("mesh", [tetrahedron(), ring(), tube(7, 5)])
 def test_closed_components_have_an_orientation(mesh: tuple[Float, Index]) -> None:
     points, faces = mesh
-    assert find_orientation(surface(points + 100, faces)).signs.tolist() == [1]
-    assert find_orientation(surface(points, faces[:, ::-1])).signs.tolist() == [-1]
+    assert find_orientation(surface((points + 100, faces))).signs.tolist() == [1]
+    assert find_orientation(surface((points, faces[:, ::-1]))).signs.tolist() == [-1]
 
 
 def test_open_surfaces_have_no_orientation() -> None:
-    assert find_orientation(surface(*grid(3, 4))).signs.tolist() == [0]
+    assert find_orientation(surface(grid(3, 4))).signs.tolist() == [0]
     points, faces = ring()
-    assert find_orientation(surface(points, faces[1:])).signs.tolist() == [1]  # a small hole does not matter
+    assert find_orientation(surface((points, faces[1:]))).signs.tolist() == [1]  # a small hole does not matter
 
 
 def test_an_inside_out_mesh_is_refused_by_name() -> None:
     points, faces = ring()
-    check_orientation(surface(points, faces), surface(2 * points, faces))
-    check_orientation(surface(points, faces[:, ::-1]), surface(2 * points, faces[:, ::-1]))
+    check_orientation(surface((points, faces)), surface((2 * points, faces)))
+    check_orientation(surface((points, faces[:, ::-1])), surface((2 * points, faces[:, ::-1])))
     with pytest.raises(SettingsError, match=r"the target is inside out.*turn its triangles over"):
-        check_orientation(surface(points, faces), surface(2 * points, faces[:, ::-1]))
+        check_orientation(surface((points, faces)), surface((2 * points, faces[:, ::-1])))
     with pytest.raises(SettingsError, match="the source is inside out"):
-        check_orientation(surface(points, faces[:, ::-1]), surface(2 * points, faces))
+        check_orientation(surface((points, faces[:, ::-1])), surface((2 * points, faces)))
 
 
 def test_single_inverted_components_cause_a_warning() -> None:
     points, faces = joined(ring(), (tetrahedron()[0] / 4 + 9, tetrahedron()[1]))
     faces[-4:] = faces[-4:, ::-1]
     with pytest.warns(MixseqWarning, match=rf"1 of 2 components .*that of triangle {len(faces) - 4}\)"):
-        check_orientation(surface(*ring()), surface(points, faces))
+        check_orientation(surface(ring()), surface((points, faces)))
 
 
 def test_inverted_open_surfaces_are_found_after_registration() -> None:
     points, faces = grid(4, 4)
-    check_orientation(surface(points, faces), surface(points, faces[:, ::-1]))
-    check_facing(surface(points, faces), surface(points, faces))
+    check_orientation(surface((points, faces)), surface((points, faces[:, ::-1])))
+    check_facing(surface((points, faces)), surface((points, faces)))
     with pytest.raises(SettingsError, match=r"100 % of the target's area faces away"):
-        check_facing(surface(points, faces), surface(points, faces[:, ::-1]))
+        check_facing(surface((points, faces)), surface((points, faces[:, ::-1])))
 
 
 # Markers that people set --------------------------------------------------------------------------------------

@@ -96,26 +96,9 @@ def test_correspondence_is_deterministic() -> None:
     assert np.array_equal(first.faces, second.faces)
 
 
-def test_few_markers_are_refused() -> None:
-    with pytest.raises(SettingsError, match="3 markers"):
-        correspond(still(*BODY), still(*BODY), Markers(MARKED[:3], MARKED[:3]))
-
-
-def test_markers_that_are_no_vertices_are_refused() -> None:
-    wrong = MARKED.copy()
-    wrong[2] = 252
-    with pytest.raises(SettingsError, match="252"):
-        correspond(still(*BODY), still(*BODY), Markers(MARKED, wrong))
-
-
 def test_a_frame_that_does_not_exist_is_refused() -> None:
     with pytest.raises(SettingsError, match="no frame 1"):
         correspond(still(*BODY), still(*BODY), Markers(MARKED, MARKED), rest=1)
-
-
-def test_a_mesh_inside_out_is_refused() -> None:
-    with pytest.raises(SettingsError, match="inside out"):
-        correspond(still(*BODY), still(BODY[0], BODY[1][:, ::-1]), Markers(MARKED, MARKED))
 
 
 def test_inverted_meshes_are_refused_before_registration() -> None:

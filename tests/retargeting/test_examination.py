@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.errors import SettingsError
-from mixseq.retargeting.checks import check_marker_vertices
 from mixseq.retargeting.correspond import MIN_EXAMINED_MARKERS, examine_markers
 from mixseq.retargeting.markers import Markers
 from tests.retargeting.foxes import on_bones, short, tall
@@ -55,10 +53,3 @@ def test_refusal_gives_the_error_of_the_registration() -> None:
     found = examine_markers(short().mesh, tall().mesh, Markers(source, markers.target))
     assert found.residuals is None
     assert "two targets" in found.refusal
-
-
-def test_suspect_ids_index_markers() -> None:
-    fox, other = short().topology, tall().topology
-    check_marker_vertices(Markers.from_pairs([[0, 0], [1499, 999]]), fox, other)
-    with pytest.raises(SettingsError, match="the target has 1000 vertices"):
-        check_marker_vertices(Markers.from_pairs([[0, 0], [1, 1000]]), fox, other)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mixseq.creature import STANCE_FRACTION, STANCE_TRAVEL_METRES
-from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.errors import SettingsError
 from mixseq.retargeting.contacts import ContactReport
 from mixseq.retargeting.limbs import ArticulatedBody, Contact
 from mixseq.retargeting.mixed_transfer import MixedTransfer
@@ -131,20 +131,6 @@ def test_the_body_travels_as_its_legs_are_long(walk: Walk) -> None:
     own = walk.source.points[-1].mean(axis=0) - walk.source.points[0].mean(axis=0)
     assert 1.1 < way[0] / own[0] < LONGER
     assert way[0] / own[0] == pytest.approx(walk.method.stride_ratio * walk.method.gradients.alignment.scale, rel=0.03)
-
-
-def test_a_walk_on_the_spot_never_rests() -> None:
-    source = coarse_walk(frames=6)
-    sole = soles_of(source.points[0])["forepaw.l"]
-    target = MeshSequence.from_arrays(source.points[:1], source.faces)
-    with pytest.warns(MixseqWarning, match=r"contact 'sole' never rests.*on the spot"):
-        plan_transfer(source, target, TransferSettings(contacts={"sole": sole}, parts=6))
-
-
-def test_one_contact_is_on_one_leg(walk: Walk) -> None:
-    both = np.concatenate([walk.soles["forepaw.l"], walk.soles["hindpaw.r"]])
-    with pytest.raises(SettingsError, match=r"contact 'paws' are on several limbs.*one contact for each foot"):
-        plan_transfer(walk.source, walk.target, TransferSettings(contacts={"paws": both}))
 
 
 def test_a_body_that_is_its_contact_has_no_legs() -> None:

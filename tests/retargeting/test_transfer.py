@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 import mixseq
 from mixseq.choices import TRANSFERS, TransferName
 from mixseq.compression.numbering import walk_numbering
-from mixseq.errors import InvalidSequenceError, MixseqWarning, SegmentationError, SettingsError
+from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.markers import Correspondence, Markers
@@ -363,12 +363,6 @@ def test_a_target_without_area_is_refused(method: TransferName, across: float) -
         mixseq.transfer(SOURCE, flat, method=method)
 
 
-@both
-def test_a_source_without_size_is_refused(method: TransferName) -> None:
-    with pytest.raises(InvalidSequenceError, match="points of the source are in one place at rest"):
-        mixseq.transfer(SOURCE.with_points(0 * SOURCE.points), TARGET, method=method)
-
-
 def test_other_triangles_need_a_correspondence() -> None:
     with pytest.raises(
         SettingsError,
@@ -414,16 +408,6 @@ def test_markers_of_a_mesh_with_other_numbers_are_refused() -> None:
             mixseq.transfer(*arguments, markers=pairs)
     with pytest.raises(SettingsError, match="contacts are numbers of vertices, and those of the target differ"):
         mixseq.transfer(walk, free, contacts={"foot": [0]})
-
-
-def test_a_rest_of_another_mesh_is_refused() -> None:
-    with pytest.raises(InvalidSequenceError, match="the mesh at rest has 92 vertices, the motion 77"):
-        mixseq.transfer(SOURCE, TARGET, rest=OTHER)
-
-
-def test_parts_of_another_mesh_are_refused() -> None:
-    with pytest.raises(SegmentationError, match="150 triangles"):
-        mixseq.transfer(SOURCE, TARGET, parts=[0, 1])
 
 
 @pytest.mark.parametrize("wrong", ["source", "target"])

@@ -33,14 +33,7 @@ def test_passes_of_a_chain() -> None:
     passes = chain(LANDSCAPE)
     assert passes.hinges.tolist() == [5, 0, 2, 3, 1, 4]
     assert passes.areas.tolist() == [1, 1, 1, 1, 2, 2]
-    assert passes.depths.tolist() == [
-        0,
-        0,
-        0,
-        0,
-        3,
-        8,
-    ]  # 5 - 2, and 9 - 1: the shallower lake is the one left of it
+    assert passes.depths.tolist() == [0, 0, 0, 0, 3, 8]  # 5 - 2, and 9 - 1: the shallower lake is the one left of it
 
 
 def test_cutting_at_passes() -> None:
@@ -79,11 +72,7 @@ def random_landscape(seed: int) -> tuple[Topology, Float, Passes]:
     heights = rng.integers(0, 9, len(topology.hinges)).astype(float)
     bottoms = np.full(len(topology.faces), np.inf)
     np.minimum.at(bottoms, topology.hinge_faces.reshape(-1), np.repeat(heights, 2))
-    return (
-        topology,
-        heights,
-        find_passes(topology, heights, bottoms, rng.uniform(0.1, 1.0, len(topology.faces))),
-    )
+    return (topology, heights, find_passes(topology, heights, bottoms, rng.uniform(0.1, 1.0, len(topology.faces))))
 
 
 @settings(max_examples=20, deadline=None)

@@ -24,22 +24,8 @@ from mixseq.segmentation.joints import (
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.segmentation.motion import segment_by_motion
 from mixseq.types import Index
-from tests.meshes import (
-    SEQUENCES,
-    Mesh,
-    bar,
-    bending,
-    flipped,
-    grid,
-    joined,
-    pages,
-    rotation,
-    seeds,
-    tetrahedron,
-    topology_of,
-    torus,
-    tube,
-)
+from tests.meshes import SEQUENCES, Mesh, bar, bending, grid, joined, rotation, seeds, tetrahedron, topology_of, tube
+from tests.spaces.mixed.made import MESHES
 
 
 def assert_sound(topology: Topology, decomposition: Decomposition) -> None:
@@ -75,22 +61,10 @@ def assert_sound(topology: Topology, decomposition: Decomposition) -> None:
         assert any(np.isin(topology.faces[face], part).all() for part in decomposition.parts)
 
 
-BASES: list[Mesh] = [
-    tube(6, 13),
-    tube(5, 9, closed=False),
-    torus(14, 7),
-    grid(7, 7),
-    pages(3, 8, 3),
-    joined(tube(5, 7), torus(8, 5)),
-    (tube(6, 13)[0], flipped(tube(6, 13)[1])),
-    tetrahedron(),
-]
-
-
 @settings(max_examples=40, deadline=None)
 @given(
     seed=seeds,
-    mesh=st.sampled_from(BASES),
+    mesh=st.sampled_from(MESHES),
     count=st.integers(1, 8),
     width=st.integers(1, 5),
     scattered=st.booleans(),

@@ -170,14 +170,7 @@ def test_settings_of_another_method(method: SegmentationName, settings: MethodSe
 
 @pytest.mark.parametrize(
     "settings",
-    [
-        {"frames": 0},
-        {"radius": -0.1},
-        {"radius": np.nan},
-        {"contrast": -1},
-        {"small_region": 1.0},
-        {"still": -1},
-    ],
+    [{"frames": 0}, {"radius": -0.1}, {"radius": np.nan}, {"contrast": -1}, {"small_region": 1.0}, {"still": -1}],
 )
 @pytest.mark.parametrize("kind", [SilhouetteSettings, SpanningTreeSettings])
 def test_settings_outside_their_range(

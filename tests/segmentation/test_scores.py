@@ -103,18 +103,7 @@ def test_labels_are_numbered_densely() -> None:
 def test_equal_labels_that_are_not_connected_are_several_parts() -> None:
     topology = topology_of(joined(grid(1, 3), tetrahedron()))
     # Six triangles in a row: the two ends have the same label, the tetrahedron has it, too.
-    assert segment_by_labels([1, 1, 2, 2, 1, 1, 1, 1, 1, 1], topology).tolist() == [
-        0,
-        0,
-        3,
-        3,
-        1,
-        1,
-        2,
-        2,
-        2,
-        2,
-    ]
+    assert segment_by_labels([1, 1, 2, 2, 1, 1, 1, 1, 1, 1], topology).tolist() == [0, 0, 3, 3, 1, 1, 2, 2, 2, 2]
 
 
 def test_parts_that_touch_in_a_vertex_only_are_not_connected() -> None:

@@ -107,8 +107,7 @@ def test_parts_of_the_sheet_that_nobody_sees_deform() -> None:
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [{"viewpoints": 0}, {"silhouettes": 0}, {"eigenvectors": 0}, {"seed": -1}, {"share": 0.0}, {"time": -1}],
+    "settings", [{"viewpoints": 0}, {"silhouettes": 0}, {"eigenvectors": 0}, {"seed": -1}, {"share": 0.0}, {"time": -1}]
 )
 def test_settings_outside_their_range(settings: dict[str, float]) -> None:
     with pytest.raises(SettingsError, match=f"{next(iter(settings))}=.*expected"):

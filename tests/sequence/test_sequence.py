@@ -92,10 +92,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
         lambda: MeshSequence.from_arrays(points(), Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 0, 1, 9]))),
         "face 1 uses vertex 9",
     ),
-    "huge indices": (
-        lambda: MeshSequence.from_arrays(points(), [[0, 1, 2**31]]),
-        "faces do not fit into 32 bits",
-    ),
+    "huge indices": (lambda: MeshSequence.from_arrays(points(), [[0, 1, 2**31]]), "faces do not fit into 32 bits"),
     "lines": (
         lambda: Polygons(np.array([3, 2]), np.array([0, 1, 2, 0, 1])),
         "polygon 1 has 2 corners; a face needs at least 3",
@@ -104,18 +101,12 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
         lambda: Polygons(np.array([3, 3]), np.array([0, 1, 2, 0, 1])),
         "add up to 6 but 5 corners are given",
     ),
-    "too few times": (
-        lambda: MeshSequence.from_arrays(points(), FACES, [0.0, 1.0]),
-        "3 frames of points but 2 times",
-    ),
+    "too few times": (lambda: MeshSequence.from_arrays(points(), FACES, [0.0, 1.0]), "3 frames of points but 2 times"),
     "times stand still": (
         lambda: MeshSequence.from_arrays(points(), FACES, [0.0, 1.0, 1.0]),
         "frame 2 is at 1 s, not after frame 1 at 1 s; times must increase",
     ),
-    "times run back": (
-        lambda: MeshSequence.from_arrays(points(), FACES, [0.0, -1.0, 1.0]),
-        "frame 1 is at -1 s",
-    ),
+    "times run back": (lambda: MeshSequence.from_arrays(points(), FACES, [0.0, -1.0, 1.0]), "frame 1 is at -1 s"),
     "no time": (
         lambda: MeshSequence.from_arrays(points(), FACES, [0.0, np.nan, 1.0]),
         "frame 1: its time is not finite",
@@ -133,10 +124,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
         lambda: MeshSequence.from_arrays(points(), FACES, up_axis="z"),
         "up axis is 'z'; one of X, Y, Z is expected",
     ),
-    "name": (
-        lambda: MeshSequence.from_arrays(points(), FACES, name="a\0b"),
-        "has characters that no file can hold",
-    ),
+    "name": (lambda: MeshSequence.from_arrays(points(), FACES, name="a\0b"), "has characters that no file can hold"),
     "half a letter": (lambda: MeshSequence.from_arrays(points(), FACES, name="\ud800"), "no file can hold"),
 }
 
@@ -227,13 +215,7 @@ def test_other_times_and_other_points() -> None:
 
 def test_sequences_do_not_change() -> None:
     sequence = whole()
-    for array in (
-        sequence.points,
-        sequence.times,
-        sequence.polygons.counts,
-        sequence.polygons.indices,
-        sequence.faces,
-    ):
+    for array in (sequence.points, sequence.times, sequence.polygons.counts, sequence.polygons.indices, sequence.faces):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
     with pytest.raises(FrozenInstanceError):

@@ -8,13 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
-from mixseq.mesh.rotations import (
-    matrix_to_quat,
-    normalise_quat,
-    quat_conjugate,
-    quat_multiply,
-    quat_to_matrix,
-)
+from mixseq.mesh.rotations import matrix_to_quat, normalise_quat, quat_conjugate, quat_multiply, quat_to_matrix
 from mixseq.mesh.topology import connected_components
 from mixseq.shells.face_frames import FrameGraph, HingeFrames, bridging_mask, flat_triangles, triangle_frames
 from mixseq.types import Float
@@ -125,10 +119,7 @@ MESHES: list[Mesh] = [
     grid(5, 5),
     pages(3, 5, 3),
     (tube(6, 9)[0], flipped(tube(6, 9)[1])),
-    (
-        tube(5, 6)[0],
-        np.where(np.arange(len(tube(5, 6)[1]))[:, None] % 3, tube(5, 6)[1], tube(5, 6)[1][:, ::-1]),
-    ),
+    (tube(5, 6)[0], np.where(np.arange(len(tube(5, 6)[1]))[:, None] % 3, tube(5, 6)[1], tube(5, 6)[1][:, ::-1])),
 ]
 
 

@@ -75,12 +75,7 @@ def test_two_faces_on_the_same_vertices() -> None:
     edges = np.array([[0, 1], [0, 2], [1, 2]])
     hinges = np.array([[0, 1, 2, 2], [1, 2, 0, 0], [2, 0, 1, 1]])
     patch = Patch(
-        faces,
-        edges,
-        np.array([[0, 2, 1], [1, 2, 0]]),
-        hinges,
-        np.array([[0, 1]] * 3),
-        np.zeros(3, dtype=bool),
+        faces, edges, np.array([[0, 2, 1], [1, 2, 0]]), hinges, np.array([[0, 1]] * 3), np.zeros(3, dtype=bool)
     )
     x = np.array([[0.0, 0, 0], [1, 0, 0], [0.2, 1, 0.3]])
     problem = ShellProblem(patch, np.ones(3), np.full(3, 2.0), np.ones(3), 0.3)

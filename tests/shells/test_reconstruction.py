@@ -12,19 +12,7 @@ from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import Patch, linear_initialisation
 from mixseq.types import Float
-from tests.meshes import (
-    Mesh,
-    bent,
-    flipped,
-    grid,
-    pages,
-    rigid_motions,
-    seeds,
-    tetrahedron,
-    topology_of,
-    torus,
-    tube,
-)
+from tests.meshes import Mesh, bent, flipped, grid, pages, rigid_motions, seeds, tetrahedron, topology_of, torus, tube
 
 CYLINDER = tube(8, 9, closed=False)
 BAR = tube(6, 17)

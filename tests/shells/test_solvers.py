@@ -60,9 +60,7 @@ def test_one_analysis_serves_all_values(solver: str, monkeypatch: pytest.MonkeyP
     first = analysis.factor(lower.data)
     for scale in (2.0, 0.25):
         np.testing.assert_allclose(
-            analysis.factor(scale * lower.data).solve(right),
-            np.linalg.solve(scale * matrix, right),
-            rtol=1e-9,
+            analysis.factor(scale * lower.data).solve(right), np.linalg.solve(scale * matrix, right), rtol=1e-9
         )
     np.testing.assert_allclose(first.solve(right), np.linalg.solve(matrix, right), rtol=1e-9)
 

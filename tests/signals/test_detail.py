@@ -58,12 +58,6 @@ def poses_of(model: Model, times: Float) -> tuple[Float, Float]:
     return quat_to_matrix(found.rotations), found.centres
 
 
-def targets_of(targets: Float) -> tuple[Float, Float]:
-    turns, centres = np.split(targets, [4 * targets.shape[1] // 7], axis=1)
-    count = len(targets)
-    return quat_to_matrix(turns.reshape(count, -1, 4)), centres.reshape(count, -1, 3)
-
-
 def without_correction(model: Model) -> Model:
     return Model(model.header, model.space, model.time, model.pose, model.shapes, model.placement)
 
@@ -74,7 +68,7 @@ def test_parts_go_where_they_are_predicted_to_be() -> None:
     np.testing.assert_array_equal(between.times, insert_midpoints(LONG.times))
     np.testing.assert_array_equal(between.quarter_times, insert_midpoints(between.times))
     np.testing.assert_allclose(model.placement(between.quarter_times), between.placement, atol=1e-12)
-    expected = targets_of(between.part_poses)
+    expected = quat_to_matrix(between.part_poses.rotations), between.part_poses.centres
     for found, wanted in zip(poses_of(model, between.quarter_times), expected, strict=True):
         np.testing.assert_allclose(found, wanted, atol=1e-9)
 
@@ -132,13 +126,13 @@ def test_another_motion_through_the_same_shapes() -> None:
         Curve(LONG.times[-1] - curve.times[::-1], curve.values[::-1]) for curve in model.curves
     )
     header = model.header.with_times(LONG.times)
-    moved = model.with_motion(time, placement, correction, header=header)
+    moved = model.edited(header=header, time=time, placement=placement, correction=correction)
     assert moved.space is model.space and moved.header.provenance is not None and moved.header.provenance.edited
     np.testing.assert_array_equal(moved.times, header.times)
     np.testing.assert_array_equal(moved.shapes, model.shapes)
     assert moved.curves == (time, placement, correction)
     np.testing.assert_allclose(moved.sample().points, LONG.points[::-1], atol=1e-8)
-    np.testing.assert_array_equal(model.with_motion(*model.curves).times, model.times)
+    np.testing.assert_array_equal(model.edited(time=model.time).times, model.times)
 
 
 def test_key_shapes_of_exact_models_are_rounded() -> None:
@@ -168,7 +162,7 @@ def share_of_deformation(model: Model) -> float:
     """How much of the deformation is left if the placement stays what it is in the first frame, from 0 to 1."""
     ends = model.placement.times[[0, -1]]
     held = Curve(ends, np.repeat(model.placement(ends[:1]), 2, axis=0))
-    frozen = model.with_motion(model.time, held, model.correction).sample().points
+    frozen = model.edited(placement=held).sample().points
     whole, left = deformation(model.sample().points), deformation(frozen)
     return float(1.0 - np.linalg.norm(whole - left) / np.linalg.norm(whole))
 

@@ -19,13 +19,7 @@ from mixseq.segmentation.motion import MotionSettings
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.detail import EncodedSequence, encode_sequence
-from mixseq.signals.fitting import (
-    CANDIDATE_SHARES,
-    MIN_VALIDATION_FRAMES,
-    _interpolated_vectors,
-    fit,
-    select_share,
-)
+from mixseq.signals.fitting import CANDIDATE_SHARES, MIN_VALIDATION_FRAMES, _interpolated_vectors, fit, select_share
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.making import MixedSettings, make_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
@@ -134,11 +128,7 @@ LONGER: MeshSequence = bar(sides=4, rings=9, frames=8)
 
 
 @pytest.mark.parametrize("space", SPACES)
-@pytest.mark.parametrize(
-    "settings",
-    [{"exact": True}, {"rank": 7, "knots": 4}, {"tolerance": 1e-2}, {}],
-    ids=str,
-)
+@pytest.mark.parametrize("settings", [{"exact": True}, {"rank": 7, "knots": 4}, {"tolerance": 1e-2}, {}], ids=str)
 def test_all_spaces_keep_what_they_promise(space: SpaceName, settings: dict[str, Any]) -> None:
     model = fit(LONGER, space=space, **settings)
     assert model.space.name == space

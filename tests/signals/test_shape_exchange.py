@@ -57,7 +57,7 @@ def test_knots_stand_for_frames_that_were_cut_away() -> None:
     time, placement, correction = (
         Curve(curve.times, np.repeat(curve.values[:1], len(curve.times), axis=0)) for curve in whole.curves
     )
-    still = whole.with_motion(time, placement, correction)
+    still = whole.edited(time=time, placement=placement, correction=correction)
     assert key_poses(still).frame_count == 1
     again = with_body(still, key_poses(still), "again").body("again")
     np.testing.assert_allclose(again.sample().points, still.sample().points, atol=3e-3 * whole.space.scale)

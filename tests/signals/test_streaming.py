@@ -30,17 +30,7 @@ pytestmark = pytest.mark.slow
 
 LONG = bar(sides=5, rings=13, frames=30)
 BENT = MeshSequence.from_header(LONG.header.with_times(np.arange(30) / 24, fps=24.0), LONG.points.astype(np.float32))
-FILES = (
-    "bar.npz",
-    "bar.h5",
-    "bar.usdc",
-    "bar.abc",
-    "bar.glb",
-    "bar.pc2",
-    "bar.mdd",
-    "bar_####.obj",
-    "bar_####.ply",
-)
+FILES = ("bar.npz", "bar.h5", "bar.usdc", "bar.abc", "bar.glb", "bar.pc2", "bar.mdd", "bar_####.obj", "bar_####.ply")
 
 
 @dataclass
@@ -83,13 +73,7 @@ def assert_same(first: Model, second: Model) -> None:
 
 @pytest.mark.usefixtures("on_disk")
 @pytest.mark.parametrize(
-    "settings",
-    [
-        {},
-        {"exact": True},
-        {"tolerance": 1e-2, "placement": "free"},
-        {"space": "vertex", "knots": 5},
-    ],
+    "settings", [{}, {"exact": True}, {"tolerance": 1e-2, "placement": "free"}, {"space": "vertex", "knots": 5}]
 )
 def test_a_streamed_model_is_that_of_the_sequence(
     settings: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -184,10 +168,7 @@ def test_a_truncated_file_is_told(tmp_path: Path) -> None:
     mixseq.write(tmp_path / "long_####.obj", BENT)
     last = sorted(tmp_path.iterdir())[-1]
     last.write_bytes(last.read_bytes()[:200])
-    with (
-        pytest.raises(MixseqError, match=last.name),
-        mixseq.open_sequence(tmp_path / "long_####.obj") as reader,
-    ):
+    with pytest.raises(MixseqError, match=last.name), mixseq.open_sequence(tmp_path / "long_####.obj") as reader:
         fit(reader)
 
 

@@ -148,14 +148,8 @@ def test_signals_must_fit_together() -> None:
         "shapes": (model.shapes[:2], "key shapes have shape"),
         "pose": (PoseMap.from_key_count(4), "key shapes have shape"),
         "time": (Curve(model.time.times, model.time.values[:, :1]), "time signal has 1 coordinates; 2 are"),
-        "placement": (
-            Curve(model.time.times, model.time.values),
-            "placement signal has 2 coordinates; 0 are",
-        ),
-        "correction": (
-            Curve(model.time.times, model.time.values),
-            "correction signal has 2 coordinates; 0 are",
-        ),
+        "placement": (Curve(model.time.times, model.time.values), "placement signal has 2 coordinates; 0 are"),
+        "correction": (Curve(model.time.times, model.time.values), "correction signal has 2 coordinates; 0 are"),
         "header": (model.header.with_times([0.0, 99.0]), "frames are from 0 to 99 s, the time signal only"),
     }
     for name, (value, message) in wrong.items():

@@ -17,16 +17,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import DEGENERATE_HEIGHT_RATIO
 from mixseq.spaces.gradient import SYMMETRIC_ENTRY_IDS, GradientSpace
 from mixseq.types import Float, FloatArray, IntArray
-from tests.meshes import (
-    SEQUENCES,
-    Mesh,
-    bar,
-    grid,
-    rotation,
-    tetrahedron,
-    torus,
-    tube,
-)
+from tests.meshes import SEQUENCES, Mesh, bar, grid, rotation, tetrahedron, torus, tube
 
 
 def space_of(points: FloatArray, faces: IntArray) -> GradientSpace:

@@ -14,7 +14,7 @@ from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.making import MixedSettings, make_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq.spaces.temporal import TemporalOperator, insert_midpoints
+from mixseq.spaces.temporal import Poses, TemporalOperator, insert_midpoints
 from tests.meshes import bar, bending, tube
 
 LONG = bar(sides=4, rings=9, frames=19)
@@ -114,14 +114,11 @@ def test_predicted_poses_pass_through_the_frames(name: SpaceName) -> None:
     """And need no corrections there."""
     space, times = make_space(LONG, name), LONG.times
     vectors, size = space.encode(LONG.points), space.shape_dim
-    poses, placements = (
-        vectors[:, size - space.pose_dim : size],
-        vectors[:, size : size + space.placement_dim],
-    )
+    poses, placements = (vectors[:, size - space.pose_dim : size], vectors[:, size : size + space.placement_dim])
     targets, placed = space.interpolate_poses(TemporalOperator(times, 2.0), poses, placements, insert_midpoints(times))
     assert placed.shape == (2 * len(times) - 1, space.placement_dim)
     np.testing.assert_allclose(placed[::2], placements, atol=1e-12)
-    corrections = space.pose_corrections(poses, targets[::2])
+    corrections = space.pose_corrections(poses, Poses(*(block[::2] for block in targets)))
     assert corrections.shape == (len(times), space.correction_dim)
     np.testing.assert_allclose(corrections, 0.0, atol=1e-7)
 

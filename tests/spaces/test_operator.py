@@ -60,12 +60,7 @@ def test_at_a_frame_it_has_the_weight_one(operator: TemporalOperator) -> None:
 
 
 @settings(max_examples=20, deadline=None)
-@given(
-    seed=seeds,
-    length=st.sampled_from(CANDIDATE_LENGTH_SCALES),
-    share=st.floats(0, 1),
-    frames=st.integers(1, 60),
-)
+@given(seed=seeds, length=st.sampled_from(CANDIDATE_LENGTH_SCALES), share=st.floats(0, 1), frames=st.integers(1, 60))
 def test_lines_stay_lines_and_frames_are_passed(seed: int, length: float, share: float, frames: int) -> None:
     rng = np.random.default_rng(seed)
     times = rng.normal() + np.cumsum(rng.uniform(0.2, 1.8, frames)) * 10.0 ** rng.integers(-3, 3)
@@ -170,10 +165,7 @@ def test_few_frames(length: float) -> None:
     """One frame is everywhere, two are joined by a line; three and more by curves."""
     one = TemporalOperator(np.array([0.5]), length)
     np.testing.assert_array_equal(full(one.weights_at(np.array([0.0, 0.5, 2.0]))), np.ones((3, 1)))
-    two, line = (
-        TemporalOperator(np.array([1.0, 3.0]), length),
-        np.array([[1.0, 0.0], [0.75, 0.25], [0.5, 0.5]]),
-    )
+    two, line = (TemporalOperator(np.array([1.0, 3.0]), length), np.array([[1.0, 0.0], [0.75, 0.25], [0.5, 0.5]]))
     np.testing.assert_allclose(full(two.weights_at(np.array([1.0, 1.5, 2.0]))), line, atol=1e-14)
     three = TemporalOperator(np.array([0.0, 1.0, 2.0]), length, (1.0, 1.0))
     parabola = np.array([[0.375, 0.75, -0.125], [-0.125, 0.75, 0.375]])
@@ -181,10 +173,7 @@ def test_few_frames(length: float) -> None:
 
 
 def test_no_times_have_no_rows() -> None:
-    assert TemporalOperator(UNEVEN).weights_at(np.zeros(0)).interpolate(np.ones((len(UNEVEN), 2))).shape == (
-        0,
-        2,
-    )
+    assert TemporalOperator(UNEVEN).weights_at(np.zeros(0)).interpolate(np.ones((len(UNEVEN), 2))).shape == (0, 2)
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,15 @@ import pytest
 
 from mixseq.choices import BETWEENS, BetweenName
 from mixseq.sequence.events import Events
-from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, select_operator
-from mixseq.spaces.temporal_pieces import HOLD_FRACTION, PiecewiseOperator, Timing, natural_slope
+from mixseq.spaces.temporal import (
+    HOLD_FRACTION,
+    PiecewiseOperator,
+    TemporalOperator,
+    Timing,
+    insert_midpoints,
+    natural_slope,
+    select_operator,
+)
 from mixseq.types import Float
 from tests.motions import moving
 

@@ -153,9 +153,9 @@ def _attribute_values(
     mesh_points = [_vector_array(mesh.point_values(local)) for mesh in prims.meshes]
     extents = [UsdGeom.PointBased.ComputeExtent(each) for each in mesh_points]
     if points.dtype != np.float32:
-        boxes = [np.array(extent) for extent, each in zip(extents, mesh_points, strict=True) if len(each)]
-        corners = np.concatenate(boxes) if boxes else None
-        if corners is not None and not np.isfinite(corners).all():
+        boxes = (np.array(extent) for extent, each in zip(extents, mesh_points, strict=True) if len(each))
+        corners = np.concatenate([np.zeros((0, 3)), *boxes])
+        if not np.isfinite(corners).all():
             as_float32(points[None], frame, "USD")  # raises an error that names the vertex
         world = points if local is points else _transform(local, prims, [space.to_world for space in spaces], 1.0)
         rounding.measure(frame, points, world, corners if world is points else None)
@@ -236,12 +236,6 @@ class SampleWriter:
         self._layer = layer
         self._is_binary = not layer.realPath.lower().endswith(".usda")
         self._unsaved_bytes = 0
-
-    def write(self, frames: Iterable[FrameValues]) -> None:
-        """Set the values of frames, and save the layer."""
-        for frame in frames:
-            self.put(frame)
-        self.save()
 
     def put(self, frame: FrameValues) -> None:
         """Set the values of a frame."""

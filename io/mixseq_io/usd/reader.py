@@ -47,7 +47,6 @@ from mixseq_io.text.labels import (
     group_face_sets,
 )
 from mixseq_io.usd.motion import AnimatedMesh, MeshMotion, Pose, Skeleton, bind_pose, find_skins
-from mixseq_io.usd.rigs import find_skeleton_prim
 from mixseq_io.usd.stage import (
     PART_NUMBER_KEY,
     PrimWarnings,
@@ -92,6 +91,8 @@ def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
 
 def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
     """Open the meshes of a skeleton in their bind pose; see `mixseq_io.read_bind_pose`."""
+    from mixseq_io.usd.rigs import find_skeleton_prim  # imports the writer
+
     warnings = PrimWarnings(path)
     with capture_diagnostics(), translate_usd_read_errors(path), prefix_errors(path):
         stage = open_stage(path)

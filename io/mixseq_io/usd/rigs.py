@@ -25,7 +25,6 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from mixseq.errors import FormatError
 from mixseq.rigging.rigs import Morph, Skeleton, Skin, rotation_matrices
 from mixseq.types import Float
-from mixseq_io.files import atomic_file
 from mixseq_io.reader import as_float32
 from mixseq_io.rig_arrays import (
     build_skeleton,
@@ -37,22 +36,15 @@ from mixseq_io.rig_arrays import (
     target_names,
 )
 from mixseq_io.surfaces import RoundingMonitor
-from mixseq_io.usd.layers import (
-    SampledMesh,
-    compute_frame_values,
-    declare_attributes,
-    write_package,
-)
+from mixseq_io.usd.layers import SampledMesh, compute_frame_values, declare_attributes
 from mixseq_io.usd.motion import TimeMap
 from mixseq_io.usd.stage import (
     Identifiers,
     WorldTransform,
     capture_diagnostics,
     open_stage,
-    save_layer,
     time_codes,
     translate_usd_read_errors,
-    translate_usd_write_errors,
     traverse_prims,
 )
 from mixseq_io.usd.writer import (
@@ -60,8 +52,7 @@ from mixseq_io.usd.writer import (
     check_not_overwritten,
     check_up_axis,
     define_component,
-    texture_folders,
-    warn_of_unpacked_files,
+    new_layer,
 )
 
 
@@ -217,14 +208,6 @@ def write_usd_rig(path: Path, rig: Skin | Morph, check: Callable[[Path], object]
     origin = header.surface.origin
     if origin is not None:
         check_not_overwritten(path, Path(origin.path))
-    is_package = path.suffix.lower() == ".usdz"
-    left_out: list[str] = []
-    with atomic_file(path, check) as temporary, capture_diagnostics(), translate_usd_write_errors(path):
-        layer = Sdf.Layer.CreateNew(str(temporary.with_suffix(".usdc") if is_package else temporary))
+    with new_layer(path, header, check=check) as layer:
         author_time_range(layer, header, TimeMap.from_header(header, header.fps), None)
         define_rig(layer, path, rig)
-        save_layer(layer)
-        if is_package:
-            name = path.with_suffix(".usdc").name
-            left_out = write_package(layer, temporary, name, texture_folders(header))
-    warn_of_unpacked_files(path, left_out)

@@ -16,7 +16,7 @@ https://openusd.org/release/api/class_usd_geom_subset.html (families and their t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -35,7 +35,6 @@ from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
 from mixseq_io.surfaces import RoundingMonitor
 from mixseq_io.text.labels import LABEL_SUBSET_FAMILY
 from mixseq_io.usd.layers import (
-    FrameValues,
     LocalSpace,
     SampledMesh,
     SampledNormals,
@@ -424,9 +423,7 @@ def write_usd(
     time_map = TimeMap.from_header(header, original_rate, times if whole_stage else None)
     _, frame_blocks = validate_blocks(header, blocks, velocities)
     monitor = rounding or RoundingMonitor(path, "USD", header)
-
-    def create_layer(file: Path) -> tuple[Sdf.Layer, SampledPrims, Iterable[FrameValues]]:
-        layer = Sdf.Layer.CreateNew(str(file))
+    with open_clip_folder(path) as folder, new_layer(path, header, pack_from) as layer:
         author_time_range(layer, header, time_map, original)
         has_velocities = velocities is not None
         if original:
@@ -440,28 +437,50 @@ def write_usd(
             warn_of_other_motion(path, header, original, times)
         if parts is not None:
             _author_parts(layer, [mesh.path for mesh in prims.meshes], parts, original)
-        return layer, prims, compute_frame_values(prims, time_map.codes, header.times, frame_blocks, monitor)
-
-    left_out: list[str] = []
-    with (
-        open_clip_folder(path) as folder,
-        atomic_file(path) as temporary,
-        capture_diagnostics(),
-        translate_usd_write_errors(path),
-    ):
+        frames = compute_frame_values(prims, time_map.codes, header.times, frame_blocks, monitor)
         if clips:
             folder.make()
-            save_clips(*create_layer(temporary), clips, folder)
+            save_clips(layer, prims, frames, clips, folder)
             folder.install()
         else:
-            layer, _, frames = create_layer(temporary.with_suffix(".usdc") if is_package else temporary)
-            SampleWriter(layer).write(frames)
-            if is_package:
-                name = path.with_suffix(".usdc").name
-                left_out = write_package(layer, temporary, name, texture_folders(header, pack_from))
-    warn_of_unpacked_files(path, left_out)
+            samples = SampleWriter(layer)
+            for frame in frames:
+                samples.put(frame)
     if not clips:
         folder.warn_if_unused()
+
+
+@contextmanager
+def new_layer(
+    path: Path,
+    header: SequenceHeader,
+    pack_from: str | PathLike[str] | None = None,
+    check: Callable[[Path], object] | None = None,
+) -> Iterator[Sdf.Layer]:
+    """Yield an empty layer, and save it to a file if the block raises no error; see `atomic_file` for `check`.
+
+    A .usdz file also packs textures: those in the original's folder, or in the package that it is, and in `pack_from`.
+    """
+    left_out: list[str] = []
+    is_package = path.suffix.lower() == ".usdz"
+    with atomic_file(path, check) as temporary, capture_diagnostics(), translate_usd_write_errors(path):
+        layer = Sdf.Layer.CreateNew(str(temporary.with_suffix(".usdc") if is_package else temporary))
+        yield layer
+        save_layer(layer)
+        if is_package:
+            origin = header.surface.origin
+            original = [Path(origin.path)] if origin and origin.format == "USD" else []
+            folders = [
+                *original,
+                *(file.parent for file in original),
+                *([] if pack_from is None else [Path(pack_from)]),
+            ]
+            left_out = write_package(layer, temporary, path.with_suffix(".usdc").name, folders)
+    if left_out:
+        warn(
+            f"{path}: only textures that exist in the original's folder are packed, not {format_names(left_out, str)}; "
+            "if these may be shared, name their folder with pack_from=... (--pack-from)"
+        )
 
 
 def write_usd_parts(path: Path, header: SequenceHeader, parts: FaceParts) -> bool:
@@ -469,14 +488,12 @@ def write_usd_parts(path: Path, header: SequenceHeader, parts: FaceParts) -> boo
     original = _open_original(path, header, flatten=False, onto=None)
     if original is None:
         return False
-    with atomic_file(path) as temporary, capture_diagnostics(), translate_usd_write_errors(path):
-        layer = Sdf.Layer.CreateNew(str(temporary))
+    with new_layer(path, header) as layer:
         time_map = TimeMap.from_header(header, original.stage.GetTimeCodesPerSecond())
         author_time_range(layer, header, time_map, original)
         author_sublayer(layer, path, original)
         paths = [str(matched.mesh.GetPath()) for matched in original.meshes]
         _author_parts(layer, paths, parts, original)
-        save_layer(layer)
     return True
 
 
@@ -487,23 +504,6 @@ def check_up_axis(path: Path, header: SequenceHeader) -> None:
             f"{path}: USD stages have Y or Z up, this mesh has X; turn it with convert_units (--convert-axes Y), or "
             "write .npz or .h5"
         )
-
-
-def warn_of_unpacked_files(path: Path, files: list[str]) -> None:
-    """Warn of files that `write_package` did not pack."""
-    if files:
-        warn(
-            f"{path}: only textures that exist in the original's folder are packed, not {format_names(files, str)}; if "
-            "these may be shared, name their folder with pack_from=... (--pack-from)"
-        )
-
-
-def texture_folders(header: SequenceHeader, pack_from: str | PathLike[str] | None = None) -> list[Path]:
-    """Return the folders whose textures may be packed, preceded by the original file, which may be a package."""
-    origin = header.surface.origin
-    original = [Path(origin.path)] if origin and origin.format == "USD" else []
-    parents = [path.parent for path in original]
-    return [*original, *parents, *([] if pack_from is None else [Path(pack_from)])]
 
 
 def _check_options(is_package: bool, flatten: bool, onto: object, clips: int, pack_from: object) -> None:

@@ -140,7 +140,7 @@ def compress(
         }
         if sequence.body_names[1:] and size is not None:
             raise SettingsError("size is for one body, and the model has several; give max_error or kg")
-        if sequence.body_names[1:] and np.ndim(parts):
+        if sequence.body_names[1:] and not (parts is None or isinstance(parts, int | np.integer)):
             raise SettingsError("labels are for one body, and the model has several; leave out parts to keep their own")
         stages, bodies = StagedProgress(progress, len(sequence.body_names), 100), sequence.frames_of_bodies()
         first, *others = (

@@ -7,8 +7,7 @@
 3. *Relaxation*: a fixed number of steps reduces the errors of lengths and angles (`mixseq.shells.shell`).
 
 Components are then moved to the poses of their seeds. At frames of the sequence the first two steps are exact. All
-matrices are constant. The paper solves every joint separately, registers joints and parts, and stitches them (Section
-2.3); see `scripts/paper`.
+matrices are constant.
 """
 
 from __future__ import annotations

@@ -40,19 +40,11 @@ REFERENCE_STEP = 2.0**-20  # rounding step of mean shapes and of the reference f
 SIZE_REDUCTION = 1.3  # least ratio of the number of all lengths and angles to the length of a vector
 STILL_HOLD = 0.01  # `Projection.hold` of a single frame, whose joints have lengths and angles for poses by handles
 FAR_RELATIONS = 3.0  # `Projection.relations` where frames are far apart, since relations vary less than poses
-
-MIN_HEIGHT_RATIO = 1e-3
-"""Least ratio of height to longest side of joint faces, in all frames; angles of lower faces are noise."""
-
+MIN_HEIGHT_RATIO = 1e-3  # least height to longest side of joint faces in all frames; angles of others are noise
 MAX_NEIGHBOUR_PAIRS = 12  # largest number of pairs of neighbouring frames from which joint faces are found
 SAMPLED_FACES = 100_000  # number of faces from which the fraction of torn faces is estimated
-
-MAX_POSES_FOR_ALL_PAIRS = 12
-"""Largest number of poses of which all pairs are compared; with more poses, only neighbours are compared."""
-
-MIN_STEPS, MAX_STEPS = 6, 20
-"""Relaxation steps between far poses if no faces, or all faces, are joint faces; linear in between."""
-
+MAX_POSES_FOR_ALL_PAIRS = 12  # poses of which all pairs are compared; of more, only neighbours are
+MIN_STEPS, MAX_STEPS = 6, 20  # relaxation steps between far poses if no or all faces are joint faces
 FREE_STEPS = 10  # relaxation steps of the free placement
 MAX_SHAPE_FRAMES = 64  # number of frames in mean shapes; frames are encoded exactly with any
 

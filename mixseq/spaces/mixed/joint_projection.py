@@ -37,8 +37,7 @@ from mixseq.shells.shell import Shell
 from mixseq.shells.solvers import Factor, factorise_laplacian, index_of
 from mixseq.types import Float, Index, Mask
 
-COMPLEX_STEP = 2.0**-400
-"""Step h; its square is below rounding, and its products with rates are normal floating-point numbers."""
+COMPLEX_STEP = 2.0**-400  # step h, whose square is below rounding and whose products with rates are normal numbers
 
 RealOrComplex = NDArray[Any]
 """Real numbers, or complex numbers whose imaginary parts are rates times `COMPLEX_STEP`."""
@@ -69,14 +68,11 @@ def _solve_frames(factor: Factor, right_sides: list[RealOrComplex]) -> RealOrCom
     return np.ascontiguousarray(np.swapaxes(solutions.reshape(len(solutions), -1, 3), 0, 1))
 
 
-MIN_HEIGHT_RATIO = 1e-12
-"""Least ratio of height to side of triangles; lower triangles are degenerate, with the unit quaternion as frame."""
+MIN_HEIGHT_RATIO = 1e-12  # least height to side of triangles; the frame of lower ones is the unit quaternion
 
+# Ratio of doubled area to squared sides, at most 0.29, below which a triangle's lengths and angles have less weight, as
+# it may turn over between frames. Chosen by the accelerations of fox_run.
 SLIVER_AREA_RATIO = 0.06
-"""Ratio of doubled area to squared sides, at most 0.29, below which a triangle's lengths and angles have less weight.
-
-Slimmer skinned triangles may turn over between frames. Chosen by the accelerations of fox_run.
-"""
 
 
 @compiled

@@ -50,33 +50,20 @@ from mixseq.spaces.base import ANGLE_WEIGHT, ShapeSpace, flatten_blocks, radii_o
 from mixseq.spaces.mixed import posing_kernels as kernels
 from mixseq.spaces.mixed.articulation import Articulation, PartPoses, Steadiness, find_articulation
 from mixseq.spaces.mixed.assembly import Assembly, FreeFrame
-from mixseq.spaces.mixed.joint_projection import (
-    JointProjection,
-    RealOrComplex,
-    from_complex_step,
-    to_complex_step,
-)
+from mixseq.spaces.mixed.joint_projection import JointProjection, RealOrComplex, from_complex_step, to_complex_step
 from mixseq.spaces.mixed.pose_interpolation import PoseInterpolation
 from mixseq.spaces.pieces import register_parts
 from mixseq.spaces.temporal import Poses, TemporalOperator
 from mixseq.types import Float, FloatArray, Index, Int32, Mask
 
-JOINT_WEIGHT = 1e-3
-"""Weight of lengths and angles in the metric. Rest vertices have the weight 1 and determine the same shape."""
-
+JOINT_WEIGHT = 1e-3  # weight of lengths and angles in the metric; rest vertices determine the same shape
 JOINT_EMBEDDING_WEIGHT = 2.0  # weight of lengths and angles in embeddings
-
-MAX_EDIT_ROUNDS, EDIT_TOLERANCE = 12, 1e-11
-"""Largest number of iterations to reach an edited frame, and the error at which they stop, in diagonals."""
-
+MAX_EDIT_ROUNDS, EDIT_TOLERANCE = 12, 1e-11  # iterations to reach an edited frame, and their error in diagonals
 ARTICULATION_WEIGHT = 0.2  # weight of part poses in the metric, relative to the vertices they move
 PROJECTION_WEIGHT_RANGE = (1e-6, 1e6)  # range of `hold` and `relations`, outside which linear systems are singular
 LENGTH_STEP_RATIO = 1 / 4  # ratio of the rounding step of lengths to the rounding step of positions, if P_m relaxes
 MAX_ANGLE_STEP_RATIO = 64  # largest ratio of the rounding step of angles in radians to that of positions in diagonals
-
-
-MAX_PROJECTED_FRAMES, MAX_PROJECTED_VERTICES = 16, 1 << 19
-"""Largest number of frames projected at once, which share passes over factors, and of their vertices, in memory."""
+MAX_PROJECTED_FRAMES, MAX_PROJECTED_VERTICES = 16, 1 << 19  # projected at once, sharing factors
 
 
 @dataclass(frozen=True)
@@ -246,19 +233,9 @@ class MixedSpace(ShapeSpace):
     def _block_shapes(self) -> tuple[tuple[int, ...], ...]:
         """Array shapes of the blocks of a vector, in order."""
         parts, relations = len(self.decomposition.parts), len(self.articulation.pairs)
-        bodies = self.articulation.body_count
-        return (
-            (len(self.edge_ids),),
-            (len(self.hinge_ids),),
-            (self.vertex_count, 3),
-            (parts, 4),
-            (parts, 3),
-            (relations, 4),
-            (relations, 3),
-            (bodies, 4),
-            (bodies, 3),
-            (6 * parts,),
-        )
+        joints = (len(self.edge_ids),), (len(self.hinge_ids),)
+        poses = [(count, size) for count in (parts, relations, self.articulation.body_count) for size in (4, 3)]
+        return *joints, (self.vertex_count, 3), *poses, (6 * parts,)
 
     @cached_property
     def block_sizes(self) -> tuple[int, ...]:
@@ -370,14 +347,12 @@ class MixedSpace(ShapeSpace):
         bodies = self.articulation.fit_bodies(world)
         parts = self.articulation.add_relations(self.articulation.to_body_axes(world, bodies))
         parts = parts._replace(
-            rotations=_with_positive_w(parts.rotations),
-            relation_rotations=_with_positive_w(parts.relation_rotations),
+            rotations=_with_positive_w(parts.rotations), relation_rotations=_with_positive_w(parts.relation_rotations)
         )
         vectors[:, columns[3].start : columns[8].stop] = flatten_blocks((*parts, *bodies))
         for vector, *frame in zip(vectors, *parts, *bodies, strict=True):
-            motions = self.articulation.part_motions(
-                PartPoses(*frame[:4]), (frame[4], frame[5]), np.zeros(self.correction_dim)
-            )
+            poses_of_bodies, correction = (frame[4], frame[5]), np.zeros(self.correction_dim)
+            motions = self.articulation.part_motions(PartPoses(*frame[:4]), poses_of_bodies, correction)
             vertices = vector[columns[2]].reshape(-1, 3)
             vertices[:] = self._unskin(motions, vertices)
         return vectors
@@ -484,12 +459,12 @@ class MixedSpace(ShapeSpace):
 
     def interpolate_poses(
         self, operator: TemporalOperator, poses: Float, placements: Float, times: Float
-    ) -> tuple[Float, Float]:
+    ) -> tuple[Poses, Float]:
         """Implement `ShapeSpace.interpolate_poses`: in root axes, by relations and in world axes."""
         bodies, parts = self.pose_interpolation(operator, poses, placements).at(times)
         first = self.unpack_placements(placements[:1]).rotations[0]
         bodies = bodies._replace(rotations=align_quat_signs(bodies.rotations, first))
-        return flatten_blocks(parts), self.pack_placements(bodies)
+        return parts, self.pack_placements(bodies)
 
     def group_coordinates(self, group_of_vertex: Index) -> Index:
         """Implement `ShapeSpace.group_coordinates`; a body's axes, and so the poses in them, change with its parts."""
@@ -502,10 +477,10 @@ class MixedSpace(ShapeSpace):
         poses = zip((parts, parts, relations, relations), (4, 3, 4, 3), strict=True)
         return np.concatenate([*vertices, *(np.repeat(groups, size) for groups, size in poses)])
 
-    def merge_poses(self, poses: Sequence[tuple[Float, Float]], group_of_vertex: Index) -> tuple[Float, Float]:
+    def merge_poses(self, poses: Sequence[tuple[Poses, Float]], group_of_vertex: Index) -> tuple[Poses, Float]:
         """Implement `ShapeSpace.merge_poses`: parts of all groups in world axes, then bodies that fit them."""
         groups, parts = self._group_of_part(group_of_vertex), np.arange(len(self.decomposition.parts))
-        in_body_axes = [self._unpack_targets(targets) for targets, _ in poses]
+        in_body_axes = [targets for targets, _ in poses]
         placed = [self.unpack_placements(placements) for _, placements in poses]
         world = [self.articulation.to_world_axes(*each) for each in zip(in_body_axes, placed, strict=True)]
         merged = Poses(*(np.stack(blocks)[groups, :, parts].swapaxes(0, 1) for blocks in zip(*world, strict=True)))
@@ -513,16 +488,10 @@ class MixedSpace(ShapeSpace):
         bodies = bodies._replace(rotations=align_quat_signs(bodies.rotations, placed[0].rotations[0]))
         new_parts = self.articulation.to_body_axes(merged, bodies)
         new_parts = new_parts._replace(rotations=align_quat_signs(new_parts.rotations, in_body_axes[0].rotations[0]))
-        return flatten_blocks(new_parts), self.pack_placements(bodies)
+        return new_parts, self.pack_placements(bodies)
 
     def _group_of_part(self, group_of_vertex: Index) -> Index:
         return group_of_vertex[[vertex_ids[0] for vertex_ids in self.decomposition.parts]]
-
-    def _unpack_targets(self, targets: Float) -> Poses:
-        """Return part poses ``(N, p)`` in body axes from targets of `interpolate_poses`."""
-        count = len(self.decomposition.parts)
-        rotations, centres = np.split(targets, [4 * count], axis=1)
-        return Poses(rotations.reshape(-1, count, 4), centres.reshape(-1, count, 3))
 
     def pose_interpolation(self, operator: TemporalOperator, poses: Float, placements: Float) -> PoseInterpolation:
         """Return the interpolation of part poses ``(T, pose_dim)`` and placements ``(T, P)`` of the frames."""
@@ -550,10 +519,9 @@ class MixedSpace(ShapeSpace):
         signs = (parts, 4), (np.ones_like(parts), 3), (relations, 4), (np.ones_like(relations), 3)
         return np.concatenate([np.repeat(values, size) for values, size in signs])
 
-    def pose_corrections(self, poses: Float, targets: Float) -> Float:
+    def pose_corrections(self, poses: Float, targets: Poses) -> Float:
         """Implement `ShapeSpace.pose_corrections`."""
-        blended = self.articulation.reconcile(self.split_poses(poses))
-        return self.articulation.pose_corrections(blended, self._unpack_targets(targets))
+        return self.articulation.pose_corrections(self.articulation.reconcile(self.split_poses(poses)), targets)
 
     def correct_poses(self, poses: Float, corrections: Float) -> Poses:
         """Return part poses ``(T, p)`` in body axes, from pose columns and corrections ``(T, ...)``."""

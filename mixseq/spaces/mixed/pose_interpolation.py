@@ -208,15 +208,11 @@ def _fuse(estimates: Float, precisions: Float, relations: Float, relation_precis
         right[:, second] -= relation_precisions[relation] @ residuals[:, relation]
         right[:, first] += backward[:, relation] @ residuals[:, relation]
     change = np.linalg.solve(system.reshape(count, 4 * size, 4 * size), right.reshape(count, 4 * size, 3))
-    return _nearest_poses(estimates + change.reshape(count, size, 4, 3))
+    fitted = estimates + change.reshape(count, size, 4, 3)
+    return Poses(matrix_to_quat(nearest_rotations(np.swapaxes(fitted[:, :, :3], -1, -2))), fitted[:, :, 3])
 
 
 def _pose_matrices(poses: Poses) -> Float:
     """Return poses as matrices X ``(T, p, 4, 3)``."""
     rotations = np.swapaxes(quat_to_matrix(poses.rotations), -1, -2)
     return np.concatenate([rotations, poses.centres[:, :, None]], axis=2)
-
-
-def _nearest_poses(x: Float) -> Poses:
-    """Return the poses of matrices X ``(T, p, 4, 3)``, projected to rotations."""
-    return Poses(matrix_to_quat(nearest_rotations(np.swapaxes(x[:, :, :3], -1, -2))), x[:, :, 3])

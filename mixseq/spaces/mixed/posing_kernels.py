@@ -16,9 +16,7 @@ from mixseq.shells.face_frames import multiply, multiply_by_inverse, multiply_in
 from mixseq.types import Float, Index, Int32
 
 PART_AVERAGING_ROUNDS = 2  # rounds of rotation averaging over parts
-
-SERIES_SQUARED_ANGLE = 1e-6
-"""Squared length of a rotation vector below which its exponential is a power series, in squared radians."""
+SERIES_SQUARED_ANGLE = 1e-6  # squared radians below which the exponential is a power series
 
 
 @inlined

@@ -122,20 +122,11 @@ INFLUENCE_RINGS = 6.0
 MAX_PARTS_PER_VERTEX = 6  # largest number of parts that a vertex is skinned to
 MIN_WEIGHT = 0.01  # least skinning weight; smaller weights are set to zero
 SMOOTHNESS_WEIGHT = 0.1  # weight of smoothness relative to the squared distance of part motions
-
-MOTION_NOISE = 1e-12
-"""Squared distance of part motions, in squared diagonals, below which weights are determined by smoothness."""
-
+MOTION_NOISE = 1e-12  # squared distance of part motions, in squared diagonals, below which smoothness decides
 GAUSS_SEIDEL_SWEEPS = 20  # number of Gauss-Seidel sweeps
-
-MAX_FULLY_FITTED_VERTICES = 200_000
-"""Largest mesh, in vertices, with all vertices fitted; in larger meshes, only vertices near part boundaries are."""
-
-FITTED_BOUNDARY_RINGS = 32
-"""Rings of fitted vertices around part boundaries; weights fall to a hundredth within half of them."""
-
+MAX_FULLY_FITTED_VERTICES = 200_000  # largest mesh with all vertices fitted; others are near part boundaries
+FITTED_BOUNDARY_RINGS = 32  # rings of fitted vertices; weights fall to a hundredth within half of them
 WEIGHT_STEP = 2.0**-16  # rounding step of skinning weights
-
 _PARTS_PER_BLOCK = 16  # parts that are diffused together
 
 
@@ -184,9 +175,8 @@ def _split_vertices(topology: Topology, decomposition: Decomposition) -> tuple[I
     Vertices near vertices with faces of several parts are fitted; in small meshes, all vertices with faces are fitted.
     """
     labels = decomposition.part_of_face[:, None]
-    part = np.full(
-        topology.vertex_count, len(decomposition.parts) - 1, dtype=np.int32
-    )  # unused vertices are the last part
+    # Unused vertices are the last part.
+    part = np.full(topology.vertex_count, len(decomposition.parts) - 1, dtype=np.int32)
     part[topology.faces] = labels
     mask = np.zeros(topology.vertex_count, dtype=bool)
     if topology.vertex_count <= MAX_FULLY_FITTED_VERTICES:

@@ -21,19 +21,7 @@ from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
 from mixseq.spaces.edge import DiscreteShell, RelaxedShell, ShellTargets, is_sheet
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float
-from tests.meshes import (
-    Mesh,
-    bent,
-    flipped,
-    grid,
-    joined,
-    pages,
-    rotation,
-    tetrahedron,
-    topology_of,
-    torus,
-    tube,
-)
+from tests.meshes import Mesh, bent, flipped, grid, joined, pages, rotation, tetrahedron, topology_of, torus, tube
 from tests.shells.formulas import jacobian
 
 MESH: Mesh = joined(tube(6, 9), tetrahedron(), torus(9, 5), pages(3, 4, 2))

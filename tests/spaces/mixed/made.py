@@ -17,19 +17,7 @@ from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.mixed.construction import Purpose, mixed_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.types import Float, Index
-from tests.meshes import (
-    SEQUENCES,
-    Mesh,
-    flipped,
-    grid,
-    joined,
-    pages,
-    rotation,
-    tetrahedron,
-    topology_of,
-    torus,
-    tube,
-)
+from tests.meshes import SEQUENCES, Mesh, flipped, grid, joined, pages, rotation, tetrahedron, topology_of, torus, tube
 
 BONES = {"bar": 2, "rigid component": 3}
 """Their bends would be parts of their own."""

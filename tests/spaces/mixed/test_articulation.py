@@ -22,13 +22,7 @@ from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import decompose
 from mixseq.spaces.base import radii_of_gyration
 from mixseq.spaces.mixed import posing_kernels as kernels
-from mixseq.spaces.mixed.articulation import (
-    MOTION_FLOOR,
-    Articulation,
-    PartPoses,
-    Steadiness,
-    find_articulation,
-)
+from mixseq.spaces.mixed.articulation import MOTION_FLOOR, Articulation, PartPoses, Steadiness, find_articulation
 from mixseq.spaces.mixed.joint_projection import from_complex_step, to_complex_step
 from mixseq.spaces.mixed.pose_interpolation import PoseInterpolation
 from mixseq.spaces.temporal import (
@@ -268,10 +262,7 @@ def test_what_is_steady_is_trusted() -> None:
 
 def misfit(chain: Articulation, poses: PartPoses, found: Poses) -> float:
     """What rotations minimise: squared sines of half the angles that are left, weighted."""
-    own, weights = (
-        (chain.masses * chain.radii**2),
-        np.minimum(*(chain.masses * chain.radii**2)[chain.pairs.T]),
-    )
+    own, weights = ((chain.masses * chain.radii**2), np.minimum(*(chain.masses * chain.radii**2)[chain.pairs.T]))
     i, j = chain.pairs.T
     seen = quat_multiply(found.rotations[:, i], poses.relation_rotations)
     cosines = [
@@ -301,10 +292,7 @@ def test_agreed_rotations_nearly_have_the_least_misfit() -> None:
 @given(seed=seeds, motion=rigid_motions)
 @settings(max_examples=12, deadline=None)
 def test_agreement_is_the_same_in_all_axes(seed: int, motion: tuple[Float, Float]) -> None:
-    poses, others = (
-        CHAIN.add_relations(wild(seed, spread=0.3)),
-        CHAIN.add_relations(wild(seed + 1, spread=0.3)),
-    )
+    poses, others = (CHAIN.add_relations(wild(seed, spread=0.3)), CHAIN.add_relations(wild(seed + 1, spread=0.3)))
     turn, shift = motion
     here = others._replace(rotations=poses.rotations, centres=poses.centres)
     carried = moved(Poses(poses.rotations, poses.centres), turn, shift)
@@ -376,8 +364,7 @@ def test_corrections_of_a_sequence_do_not_jump() -> None:
     """Past half a turn they go on."""
     angles = np.linspace(0, 1.5 * np.pi, 9)
     targets = Poses(
-        np.stack([np.tile(matrix_to_quat(rotation(AXIS * angle)), (4, 1)) for angle in angles]),
-        np.zeros((9, 4, 3)),
+        np.stack([np.tile(matrix_to_quat(rotation(AXIS * angle)), (4, 1)) for angle in angles]), np.zeros((9, 4, 3))
     )
     found = CHAIN.pose_corrections(Poses(np.tile(np.eye(4)[0], (9, 4, 1)), np.zeros((9, 4, 3))), targets)
     np.testing.assert_allclose(found[:, :3], angles[:, None] * AXIS, atol=1e-9)
@@ -516,11 +503,7 @@ def predicted(operator: TemporalOperator, poses: Poses, parts: Articulation, tim
 
 
 @settings(max_examples=10, deadline=None)
-@given(
-    seed=seeds,
-    length=st.sampled_from(CANDIDATE_LENGTH_SCALES),
-    frames=st.sampled_from([2, 3, 12, 60]),
-)
+@given(seed=seeds, length=st.sampled_from(CANDIDATE_LENGTH_SCALES), frames=st.sampled_from([2, 3, 12, 60]))
 def test_frames_are_passed(seed: int, length: float, frames: int) -> None:
     poses = wandering(seed, 3, frames)
     times = np.cumsum(np.random.default_rng(seed).uniform(0.5, 1.5, frames))

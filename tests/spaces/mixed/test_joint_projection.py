@@ -14,12 +14,7 @@ from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.rotations import matrix_to_quat, normalise_quat, quat_multiply
 from mixseq.shells.solvers import factorise_laplacian
 from mixseq.spaces.mixed import posing_kernels as kernels
-from mixseq.spaces.mixed.joint_projection import (
-    JointProjection,
-    from_complex_step,
-    solve_columns,
-    to_complex_step,
-)
+from mixseq.spaces.mixed.joint_projection import JointProjection, from_complex_step, solve_columns, to_complex_step
 from mixseq.types import Float, Int32, Mask
 from tests.meshes import Mesh, grid, joined, rigid_motions, rotation, seeds, topology_of, torus, tube
 from tests.spaces.mixed.made import MESHES
@@ -305,9 +300,7 @@ def test_posing_and_unposing_are_inverse(seed: int) -> None:
     posed = kernels.skin_vertices(*weights, duals, POINTS)
     np.testing.assert_allclose(kernels.unskin_vertices(*weights, duals, posed), POINTS, atol=1e-12)
     np.testing.assert_allclose(
-        kernels.skin_vertices(*weights, duals, kernels.unskin_vertices(*weights, duals, POINTS)),
-        POINTS,
-        atol=1e-12,
+        kernels.skin_vertices(*weights, duals, kernels.unskin_vertices(*weights, duals, POINTS)), POINTS, atol=1e-12
     )
 
 

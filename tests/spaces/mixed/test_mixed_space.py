@@ -15,13 +15,7 @@ from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
 from mixseq.mesh.rigid import kabsch, transform_points
-from mixseq.mesh.rotations import (
-    matrix_to_quat,
-    normalise_quat,
-    quat_multiply,
-    quat_to_matrix,
-    rotate_vectors,
-)
+from mixseq.mesh.rotations import matrix_to_quat, normalise_quat, quat_multiply, quat_to_matrix, rotate_vectors
 from mixseq.segmentation.joints import decompose
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.spaces.base import ANGLE_WEIGHT, VertexSpace
@@ -555,11 +549,7 @@ def test_blends_of_half_turns_are_finite() -> None:
 
 def test_changes_by_hand_arrive() -> None:
     """What `shape_difference` says, added to the shape, moves the vertices that were moved, and no others."""
-    for space, atol in (
-        (space_of("bar"), 1e-12),
-        (steered("bar", 0.5), 2e-3),
-        (space_of("bar", "free"), 2e-2),
-    ):
+    for space, atol in ((space_of("bar"), 1e-12), (steered("bar", 0.5), 2e-3), (space_of("bar", "free"), 2e-2)):
         vectors = space.encode(sequence_of("bar").points)
         vector = vectors[2] if space.placement == "free" else vectors[[1, 3]].mean(axis=0)
         before = space.decode(vector[None])[0]
@@ -599,10 +589,7 @@ def test_velocities_are_derivatives_of_decoded_points(name: str, seed: int, scal
 @pytest.mark.parametrize("steps", [0, 10])
 def test_velocities_in_the_free_placement_and_after_steps(steps: int) -> None:
     free = space_of("bar", "free")
-    for space in (
-        replace(free, projection=replace(free.projection, steps=steps)),
-        steered("bar", 1.0, steps),
-    ):
+    for space in (replace(free, projection=replace(free.projection, steps=steps)), steered("bar", 1.0, steps)):
         vectors = space.encode(sequence_of("bar").points)
         rate = (vectors[2] - vectors[1])[None]
         vector = vectors[1] + 0.4 * rate
@@ -653,12 +640,11 @@ def test_predictions_pass_through_the_frames(name: str) -> None:
         vectors[:, size:end],
         insert_midpoints(times),
     )
-    assert len(targets) == len(placed) == 2 * len(points) - 1
+    assert len(targets.centres) == len(placed) == 2 * len(points) - 1
     np.testing.assert_allclose(placed[::2], vectors[:, size:end], atol=1e-12)
     blocks = space.split(vectors)
-    turns, centres = np.split(targets[::2], [4 * len(space.decomposition.parts)], axis=1)
-    np.testing.assert_allclose(centres, blocks.part_centres.reshape(len(points), -1), atol=1e-12)
-    cosines = np.einsum("tpi,tpi->tp", turns.reshape(blocks.part_rotations.shape), blocks.part_rotations)
+    np.testing.assert_allclose(targets.centres[::2], blocks.part_centres, atol=1e-12)
+    cosines = np.einsum("tpi,tpi->tp", targets.rotations[::2], blocks.part_rotations)
     np.testing.assert_allclose(np.abs(cosines), 1.0, atol=1e-12)
     assert np.isfinite(space.decode(at(space, vectors, TemporalOperator(times, 4.0), insert_midpoints(times)))).all()
 
@@ -694,8 +680,7 @@ def test_corrected_poses_are_those_that_are_wanted(seed: int) -> None:
         parts = len(space.decomposition.parts)
         turns = normalise_quat(np.array([1.0, 0, 0, 0]) + 0.4 * rng.normal(size=(4, parts, 4)))
         centres = rng.normal(size=(4, parts, 3))
-        targets = np.concatenate([turns.reshape(4, -1), centres.reshape(4, -1)], axis=1)
-        corrections = space.pose_corrections(poses, targets)
+        corrections = space.pose_corrections(poses, Poses(turns, centres))
         assert corrections.shape == (4, space.correction_dim)
         found = space.correct_poses(poses, corrections)
         np.testing.assert_allclose(quat_to_matrix(found.rotations), quat_to_matrix(turns), atol=1e-12)
@@ -718,9 +703,7 @@ def test_frames_need_no_corrections(name: str) -> None:
     space = space_of(name)
     blocks = space.split(space.encode(sequence_of(name).points))
     poses = space.encode(sequence_of(name).points)[:, space.shape_dim - space.pose_dim : space.shape_dim]
-    targets = np.concatenate(
-        [blocks.part_rotations.reshape(len(poses), -1), blocks.part_centres.reshape(len(poses), -1)], axis=1
-    )
+    targets = Poses(blocks.part_rotations, blocks.part_centres)
     np.testing.assert_allclose(space.pose_corrections(poses, targets), 0.0, atol=1e-9)
 
 

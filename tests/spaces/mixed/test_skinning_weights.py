@@ -12,25 +12,9 @@ from mixseq.mesh.rigid import mean_shape
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.spaces.mixed import skinning_weights
-from mixseq.spaces.mixed.skinning_weights import (
-    MAX_PARTS_PER_VERTEX,
-    MIN_WEIGHT,
-    WEIGHT_STEP,
-    fit_skinning_weights,
-)
+from mixseq.spaces.mixed.skinning_weights import MAX_PARTS_PER_VERTEX, MIN_WEIGHT, WEIGHT_STEP, fit_skinning_weights
 from mixseq.types import Float
-from tests.meshes import (
-    SEQUENCES,
-    Mesh,
-    bending,
-    bent,
-    joined,
-    rigid_motions,
-    rotation,
-    seeds,
-    topology_of,
-    tube,
-)
+from tests.meshes import SEQUENCES, Mesh, bending, bent, joined, rigid_motions, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import MESHES, chain, sequence_of, sliced, space_of
 
 
