@@ -332,10 +332,7 @@ def _add_mesh(layout: Layout, scene_mesh: SceneMesh, name: str, materials: dict[
 
 def add_triangles(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
     """Add triangles ``(F, 3)`` and attributes ``(n, k)`` by glTF name; return the primitive's JSON entry."""
-    add: dict[str, Callable[[Single], int]] = {
-        "POSITION": layout.add_points,
-        "COLOR_0": partial(_add_colours, layout),
-    }
+    add: dict[str, Callable[[Single], int]] = {"POSITION": layout.add_points, "COLOR_0": partial(_add_colours, layout)}
     add_values = partial(layout.add_array, target=ARRAY_BUFFER)
     accessors = {name: add.get(name, add_values)(values) for name, values in attributes.items()}
     corners = triangles.reshape(-1)
