@@ -32,13 +32,7 @@ from mixseq.mesh.decimation import decimate
 from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.checks import (
-    Suspicion,
-    check_facing,
-    check_markers,
-    check_orientation,
-    find_suspicious_markers,
-)
+from mixseq.retargeting.checks import Suspicion, check_facing, check_markers, check_orientation, find_suspicious_markers
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_components
 from mixseq.retargeting.registration import LAST_STIFFNESS, STIFFNESS_STEPS, register
 from mixseq.runtime.parallel import one_blas_thread
@@ -122,11 +116,7 @@ def match(registered: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairin
 
 
 def assess(
-    registered: TriangleMesh,
-    target: TriangleMesh,
-    pairings: tuple[Pairing, ...],
-    markers: Markers,
-    matches: Matches,
+    registered: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairing, ...], markers: Markers, matches: Matches
 ) -> CorrespondenceQuality:
     """Measure the quality of a correspondence of `match`."""
     diagonal = target.diagonal
