@@ -269,10 +269,11 @@ def correspond_and_assess(
     check_markers(markers, source_mesh, target_mesh)
     pairings = pair_components(source_mesh.topology, target_mesh.topology, markers)
     _check_areas(source_mesh, target_mesh, pairings)
-    check_orientation(source_mesh, target_mesh)
+    are_closed = check_orientation(source_mesh, target_mesh)
     points = register(source_mesh, target_mesh, pairings, markers, progress, last_stiffness, steps)
     registered = TriangleMesh(points, source_mesh.topology)
-    check_facing(registered, target_mesh)
+    if not are_closed:  # the volumes of closed meshes are checked
+        check_facing(registered, target_mesh)
     matches = match(registered, target_mesh, pairings)
     quality = assess(registered, target_mesh, pairings, markers, matches)
     _warn_of_poor_matches(quality, matches.correspondence)
