@@ -124,6 +124,8 @@ def replace_degenerate(triangles: Float) -> Float:
     corners = np.stack([np.zeros_like(first), first, second], axis=1)
     normals = area_normals(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
     degenerate = np.flatnonzero(~normals.any(axis=1))
+    if not degenerate.size:
+        return triangles
     longest, along, length = _longest_sides(corners)
     mean_length = length[length > 0].mean() if length.any() else 1.0
     side = np.where(length > 0, length, mean_length)[degenerate, None]

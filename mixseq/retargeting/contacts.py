@@ -349,8 +349,7 @@ def _measure_contacts(shared: tuple[MixedTransfer, Index, Index], block: FloatAr
     method, vertices, parts = shared
     correspondence = method.gradients.correspondence
     poses, local_points = [], []
-    for points in block:
-        deformed = method.deform_by_gradients(points)
+    for points, deformed in zip(block, method.deform_by_gradients(block), strict=True):
         _, deformed_poses = method.rest_shapes.register(deformed)
         poses.append(method.transfer_poses(points, deformed_poses))
         # Contact points vary in rest space, since a paw may bend although it is one part with its leg.

@@ -86,11 +86,18 @@ class GradientTransfer(PickledWithoutCaches):
         total = np.bincount(corners.reshape(-1), weights.reshape(-1), self.source.vertex_count)
         return np.asarray(total / len(leaders))
 
+    @cached_property
+    def _root_centre(self) -> Float:
+        """Mean ``(3,)`` of the largest piece at rest."""
+        return np.asarray(self.target.reference[self.target.pieces.vertices[self.attachments.root]].mean(axis=0))
+
     def averaging_matrix(self, vertices: Index) -> sparse.csr_array:
         """Return the matrix ``(n, F)`` of area-weighted means over source triangles around target vertices ``(n,)``.
 
         A vertex without a source point uses the source point of its leader.
         """
+        if not len(vertices):
+            return sparse.csr_array((0, len(self.source.topology.faces)))
         correspondence = self.correspondence
         faces, edge_vectors = self.source.topology.faces, self.source.reference_triangles
         areas = np.linalg.norm(np.cross(edge_vectors[:, :, 0], edge_vectors[:, :, 1]), axis=1)
@@ -108,31 +115,48 @@ class GradientTransfer(PickledWithoutCaches):
         triangles = self.source.complete_triangles(points.astype(np.float64) / self.source.scale)
         return triangles @ self.source.inverse_triangles
 
-    def transfer_frame(self, points: FloatArray) -> Float:
-        """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source."""
-        source_points = points.astype(np.float64) / self.source.scale
+    def transfer_frames(self, points: FloatArray) -> Float:
+        """Return the target ``(B, V', 3)`` for frames ``(B, V, 3)`` of the source, with one back-substitution."""
+        system, frames = self.target.poisson_system, points.astype(np.float64) / self.source.scale
+        rotations, right_hand_sides = [], []
+        for frame in frames:
+            frame_rotations, sides = self._deform_sides(frame)
+            rotations.append(frame_rotations)
+            right_hand_sides.append(system.right_hand_side(sides))
+        solution = system.factor.solve(np.concatenate(right_hand_sides, axis=1)).reshape(-1, len(frames), 3)
+        result = np.empty((len(frames), self.target.vertex_count, 3))
+        for number, frame in enumerate(frames):
+            # Sides are linear in vertices, so that these are rotated instead.
+            rows = np.zeros((len(system.fixed_mask), 3))
+            rows[system.unknown_ids] = solution[:, number] @ self.alignment.rotation.T
+            result[number] = self._place_pieces(rows, frame, rotations[number])
+        return result * self.target.scale
+
+    def _deform_sides(self, source_points: Float) -> tuple[Float, Float]:
+        """Return the rotations of the source around holders, and deformed sides ``(3F', 3)`` in the source's axes."""
         triangles = self.source.complete_triangles(source_points)
         face_ids, means = self._leader_means
         gradients = triangles[face_ids] @ self.source.inverse_triangles[face_ids]
         rotations = nearest_rotations(average_matrices(means, gradients))
         holder_rotations, leader_rotations = np.split(rotations, [len(self.attachments.holders)])
         matrix_ids, maps = self._side_maps
-        matrices, sides = np.concatenate([triangles, leader_rotations]), np.empty((3 * len(matrix_ids), 3))
-        deform_sides(matrices, matrix_ids, maps, sides)
-        # Sides are linear in vertices, so that these are rotated instead.
-        piece_vertices = self.target.poisson_system.solve(sides) @ self.alignment.rotation.T
-        return self._place_pieces(piece_vertices, source_points, holder_rotations) * self.target.scale
+        if len(leader_rotations):
+            triangles = np.concatenate([triangles, leader_rotations])
+        sides = np.empty((3 * len(matrix_ids), 3))
+        deform_sides(triangles, matrix_ids, maps, sides)
+        return holder_rotations, sides
 
-    def _place_pieces(self, piece_vertices: Float, source_points: Float, holder_rotations: Float) -> Float:
-        """Translate and attach the pieces ``(N, 3)``, and return the target ``(V', 3)`` in the unit of its space."""
+    def _place_pieces(self, rows: Float, source_points: Float, holder_rotations: Float) -> Float:
+        """Translate and attach pieces ``(N, 3)`` in place; return the target ``(V', 3)`` in the unit of its space."""
         pieces, attachments, rest = self.target.pieces, self.attachments, self.target.reference
-        correspondence = self.correspondence
         linear_map = self.alignment.scale * self.source.scale / self.target.scale * self.alignment.rotation
         displacement = self._root_weights @ (source_points - self.source.reference)
-        placed, root = piece_vertices.copy(), pieces.row_slices[attachments.root]
-        root_centre = rest[pieces.vertices[attachments.root]].mean(axis=0) + linear_map @ displacement
-        placed[root] += root_centre - piece_vertices[root].mean(axis=0)
+        root = rows[pieces.row_slices[attachments.root]]
+        root += self._root_centre + linear_map @ displacement - np.einsum("ni->i", root) / len(root)
+        if not len(attachments):
+            return pieces.merge_rows(rows)
 
+        correspondence = self.correspondence
         own_rows = pieces.find_rows(attachments.pieces, attachments.vertices)
         holder_rows = pieces.find_rows(attachments.holders, attachments.holder_vertices)
         poses = np.stack([self.source.reference, source_points])
@@ -144,9 +168,9 @@ class GradientTransfer(PickledWithoutCaches):
             gap_change = linear_map @ (gaps[1, attachment] - rotation @ gaps[0, attachment])
             rest_arm = rest[attachments.vertices[attachment]] - rest[attachments.holder_vertices[attachment]]
             arm = self.alignment.rotate_matrices(rotation) @ rest_arm
-            goal = placed[holder_rows[attachment]] + arm + gap_change
-            placed[pieces.row_slices[piece]] += goal - placed[own_rows[attachment]]
-        return pieces.merge_rows(placed)
+            goal = rows[holder_rows[attachment]] + arm + gap_change
+            rows[pieces.row_slices[piece]] += goal - rows[own_rows[attachment]]
+        return pieces.merge_rows(rows)
 
 
 def gradient_transfer(

@@ -37,13 +37,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
+from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths, scatter_add, wrap_angles
 from mixseq.mesh.rigid import kabsch, nearest_rotations
 from mixseq.mesh.rotations import rotate_vectors
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import GradientTransfer, average_matrices, normalise_rows
 from mixseq.segmentation.joints import Decomposition, Joint
-from mixseq.shells.fitting import Patch, ShellReport, ShellSettings, SoftConstraint, rebuild_patch
+from mixseq.shells.fitting import Patch, ShellSettings, fit_patch_near
 from mixseq.types import Float, Index, Int32
 
 BEND_CONCENTRATION = 4.0
@@ -111,30 +111,31 @@ class SolvedJoints:
 
 @dataclass(frozen=True, eq=False)
 class HarmonicSkin:
-    """Harmonic skinning weights of the free vertices of a joint."""
+    """Harmonic skinning weights of free vertices."""
 
-    parts: Index  # (k,) parts with fixed vertices in the joint
-    weights: Float  # (f, k) skinning weights of the free vertices; rows add to one
-    rest: Float  # (f, 3) free vertices in the reference frame
-
-    @classmethod
-    def from_patch(cls, patch: Patch, part_of_vertex: Index, rest: Float) -> HarmonicSkin:
-        """Solve for the skinning weights of a patch: part_of_vertex ``(n,)``; rest ``(n, 3)``."""
-        parts, part_index = np.unique(part_of_vertex[patch.fixed_mask], return_inverse=True)
-        weights = np.zeros((len(part_of_vertex), len(parts)))
-        weights[patch.fixed_mask] = np.eye(len(parts))[part_index.reshape(-1)]
-        equal = np.zeros((3 * len(patch.faces), len(parts)))  # no differences along sides
-        return cls(parts, patch.poisson_system.solve(equal, weights)[patch.free_ids], rest[patch.free_ids])
+    weights: Float  # (F, p) skinning weights of the free vertices by all parts; rows add to one
+    rest: Float  # (F, 3) free vertices in the reference frame
 
     def deform(self, rotations: Float, translations: Float) -> Float:
-        """Skin the free vertices ``(f, 3)`` by motions ``x -> R x + t`` of all parts from the reference frame."""
-        part_positions = np.einsum("kij,fj->fki", rotations[self.parts], self.rest) + translations[self.parts]
-        return np.asarray(np.einsum("fk,fki->fi", self.weights, part_positions))
+        """Skin the free vertices ``(F, 3)`` by motions ``x -> R x + t`` of all parts from the reference frame."""
+        motions = np.concatenate([rotations, translations[:, :, None]], axis=2).reshape(-1, 12)
+        blended = (self.weights @ motions).reshape(-1, 3, 4)
+        return np.asarray(rotate_vectors(blended[:, :, :3], self.rest) + blended[:, :, 3])
 
     @cached_property
     def main_part(self) -> Index:
-        """Part ``(f,)`` with the largest skinning weight at every free vertex."""
-        return np.asarray(self.parts[self.weights.argmax(axis=1)])
+        """Part ``(F,)`` with the largest skinning weight at every free vertex."""
+        return np.asarray(self.weights.argmax(axis=1))
+
+
+def harmonic_weights(patch: Patch, part_of_vertex: Index, part_count: int) -> Float:
+    """Return the skinning weights ``(f, p)`` of the free vertices of a patch whose fixed ones ``(n,)`` have parts."""
+    parts, part_index = np.unique(part_of_vertex[patch.fixed_mask], return_inverse=True)
+    weights, result = np.zeros((len(part_of_vertex), len(parts))), np.zeros((len(patch.free_ids), part_count))
+    weights[patch.fixed_mask] = np.eye(len(parts))[part_index.reshape(-1)]
+    equal = np.zeros((3 * len(patch.faces), len(parts)))  # no differences along sides
+    result[:, parts] = patch.poisson_system.solve(equal, weights)[patch.free_ids]
+    return result
 
 
 def _concatenate(ids: list[Index]) -> Index:
@@ -175,13 +176,12 @@ class JointSolver:
         return SolvedJoints.from_decomposition(self.topology, self.decomposition)
 
     @cached_property
-    def _part_rows(self) -> tuple[Index, Index, Float]:
-        """Part and vertex ``(N,)`` of every row of `part_vertices`, and the number of rows ``(V,)`` per vertex."""
+    def _part_rows(self) -> tuple[list[slice], Index, Float]:
+        """Rows of the parts in `part_vertices`, vertices ``(N,)`` of the rows, and row counts ``(V,)`` of vertices."""
         parts = self.decomposition.parts
         vertex = np.concatenate(parts)
         copy_counts = np.bincount(vertex, minlength=self.topology.vertex_count)
-        part = np.repeat(np.arange(len(parts)), [len(vertices) for vertices in parts])
-        return part, vertex, np.maximum(copy_counts, 1).astype(np.float64)
+        return _slices([len(part) for part in parts]), vertex, np.maximum(copy_counts, 1).astype(np.float64)
 
     @cached_property
     def _reference_poses(self) -> tuple[Float, Float]:
@@ -193,62 +193,55 @@ class JointSolver:
         return np.stack([rotation for rotation, _ in poses]), np.stack([centre for _, centre in poses])
 
     @cached_property
-    def _skins(self) -> tuple[HarmonicSkin, ...]:
+    def _skin(self) -> HarmonicSkin:
+        joints, parts = self.joints, self.decomposition.parts
         part_of_vertex = np.full(self.topology.vertex_count, -1, dtype=np.int64)
-        for part, vertices in reversed(list(enumerate(self.decomposition.parts))):
+        for part, vertices in reversed(list(enumerate(parts))):
             part_of_vertex[vertices] = part
-        return tuple(
-            HarmonicSkin.from_patch(patch, part_of_vertex[joint.vertices], self.reference[joint.vertices])
-            for joint, patch in zip(self.joints.joints, self.joints.patches, strict=True)
-        )
+        weights = np.zeros((len(joints.vertices), len(parts)))
+        for joint, patch, rows in zip(joints.joints, joints.patches, joints.vertex_slices, strict=True):
+            weights[rows] = harmonic_weights(patch, part_of_vertex[joint.vertices], len(parts))
+        return HarmonicSkin(weights, self.reference[joints.vertices])
 
     @cached_property
     def _hinges(self) -> Int32:
         return self.topology.hinges[self.joints.hinge_ids]
 
-    def solve(self, frame: JointFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Return the mesh ``(V, 3)`` of a frame and a report for every joint; vertices shared by parts are averaged."""
-        points = self._pose_parts(frame)
-        rotations, translations = self._relative_motions(frame.rotations, frame.translations)
-        reports, joints = [], self.joints
+    def solve(self, frame: JointFrame, settings: ShellSettings) -> Float:
+        """Return the mesh ``(V, 3)`` of a frame; vertices shared by parts are averaged."""
+        points, joints, skin = self._pose_parts(frame), self.joints, self._skin
+        motions = self._relative_motions(frame.rotations, frame.translations)
+        offsets = rotate_vectors(frame.rotations[skin.main_part], frame.offsets)
+        points[joints.vertices] = skin.deform(*motions) + offsets
+        lengths = clamp_lengths(frame.lengths, frame.length_weights)
+        angles = limit_bends(frame.angles, dihedral_angles(points, self._hinges))
         slices = zip(joints.edge_slices, joints.hinge_slices, joints.vertex_slices, strict=True)
-        systems = zip(joints.joints, joints.patches, slices, self._skins, strict=True)
-        for joint, patch, (edges, hinges, free), skin in systems:
-            offsets = rotate_vectors(frame.rotations[skin.main_part], frame.offsets[free])
-            guess = skin.deform(rotations, translations) + offsets
-            points[joint.vertices[patch.free_ids]] = guess
-            skinned_angles = dihedral_angles(points, self._hinges[hinges])
-            rebuilt, report = rebuild_patch(
+        for joint, patch, (edges, hinges, free) in zip(joints.joints, joints.patches, slices, strict=True):
+            points[joint.vertices] = fit_patch_near(
                 patch,
-                frame.lengths[edges],
-                limit_bends(frame.angles[hinges], skinned_angles),
+                lengths[edges],
+                angles[hinges],
                 frame.length_weights[edges],
                 points[joint.vertices],
+                frame.offset_weights[free],
                 settings,
-                SoftConstraint(guess, frame.offset_weights[free]),
             )
-            points[joint.vertices[patch.free_ids]] = rebuilt[patch.free_ids]
-            reports.append(report)
-        return points, reports
+        return points
 
     def skinning_offsets(self, rotations: Float, translations: Float, points: Float) -> Float:
         """Return the offsets ``(F, 3)`` of a frame's free vertices from their skinned positions (`HarmonicSkin`).
 
         The offset of a vertex is in the rotated axes of its main part, so that it rotates with the body.
         """
-        motions = self._relative_motions(rotations, translations)
-        offsets = np.zeros((len(self.joints.vertices), 3))
-        for vertex_slice, skin in zip(self.joints.vertex_slices, self._skins, strict=True):
-            differences = points[self.joints.vertices[vertex_slice]] - skin.deform(*motions)
-            offsets[vertex_slice] = rotate_vectors(np.swapaxes(rotations[skin.main_part], 1, 2), differences)
-        return offsets
+        differences = points[self.joints.vertices] - self._skin.deform(*self._relative_motions(rotations, translations))
+        return rotate_vectors(np.swapaxes(rotations[self._skin.main_part], 1, 2), differences)
 
     def _pose_parts(self, frame: JointFrame) -> Float:
         """Return the vertices ``(V, 3)`` of the posed parts: averaged if parts share them, zero if in no part."""
-        part, vertex, copy_counts = self._part_rows
-        positions = rotate_vectors(frame.rotations[part], frame.part_vertices) + frame.translations[part]
-        sums = [np.bincount(vertex, column, minlength=len(copy_counts)) for column in positions.T]
-        return np.stack(sums, axis=1) / copy_counts[:, None]
+        slices, vertex, copy_counts = self._part_rows
+        poses = zip(slices, frame.rotations, frame.translations, strict=True)
+        positions = [frame.part_vertices[rows] @ rotation.T + centre for rows, rotation, centre in poses]
+        return scatter_add(np.concatenate(positions), vertex, len(copy_counts)) / copy_counts[:, None]
 
     def _relative_motions(self, rotations: Float, translations: Float) -> tuple[Float, Float]:
         """Return the motions ``x -> R x + t`` of the parts from the reference frame to given poses."""

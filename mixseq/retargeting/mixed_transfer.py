@@ -132,8 +132,8 @@ class MixedTransfer(PickledWithoutCaches):
         return GradientMetrics(self.gradients, joints)
 
     def deform_by_gradients(self, points: FloatArray) -> Float:
-        """Return the target ``(V', 3)`` deformed by the gradients of a frame ``(V, 3)``, in the unit of its space."""
-        return self.gradients.transfer_frame(points) / self.gradients.target.scale
+        """Return the target ``(B, V', 3)`` deformed by gradients of frames ``(B, V, 3)``, in the unit of its space."""
+        return self.gradients.transfer_frames(points) / self.gradients.target.scale
 
     def transfer_poses(self, points: FloatArray, deformed_poses: PartPoses) -> PartPoses:
         """Return poses of the target's parts for a source frame ``(V, 3)``, with the rotations of `deformed_poses`."""
@@ -148,9 +148,14 @@ class MixedTransfer(PickledWithoutCaches):
         rotations = deformed_poses.rotations
         return PartPoses(rotations, self._pivot_solver.solve_centres(rotations, gaps, root_centre))
 
-    def transfer_frame(self, points: FloatArray, poses: PartPoses | None = None) -> Float:
-        """Return the target ``(V', 3)`` for a source frame ``(V, 3)``; `poses` replace the transferred part poses."""
-        deformed = self.deform_by_gradients(points)
+    def transfer_frames(self, points: FloatArray, poses: PartPoses | None = None) -> Float:
+        """Return the target ``(B, V', 3)`` for source frames ``(B, V, 3)``; `poses` replace the transferred poses."""
+        given = [None] * len(points) if poses is None else map(PartPoses, *poses)
+        frames = zip(points, self.deform_by_gradients(points), given, strict=True)
+        return np.stack([self._transfer_frame(*frame) for frame in frames])
+
+    def _transfer_frame(self, points: FloatArray, deformed: Float, poses: PartPoses | None) -> Float:
+        """Return the target ``(V', 3)`` for a source frame ``(V, 3)``, the deformed target ``(V', 3)``, given poses."""
         part_vertices, deformed_poses = self.rest_shapes.register(deformed)
         poses = self.transfer_poses(points, deformed_poses) if poses is None else poses
         source_points = points.astype(np.float64) / self.gradients.source.scale
@@ -198,7 +203,7 @@ class MixedTransfer(PickledWithoutCaches):
         """Return the target ``(V', 3)`` with posed parts and solved joints."""
         weights = length_weights(self._rest_lengths)
         frame = JointFrame(lengths, angles, weights, part_vertices, *poses, offsets, self._offset_weights)
-        return self.joint_solver.solve(frame, self.settings)[0] * self.gradients.target.scale
+        return self.joint_solver.solve(frame, self.settings) * self.gradients.target.scale
 
     @cached_property
     def _rest_lengths(self) -> Float:

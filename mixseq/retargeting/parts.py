@@ -218,6 +218,11 @@ class PivotSolver:
         return sparse.coo_array((values, entries), shape=(pair_count, len(self.body.centres))).tocsr()
 
     @cached_property
+    def _root_incidence(self) -> Float:
+        """Column ``(n, 1)`` of the root in the incidence matrix."""
+        return np.asarray(self._incidence[:, [self.body.root]].toarray())
+
+    @cached_property
     def _free_parts(self) -> Index:
         return np.delete(np.arange(len(self.body.centres)), self.body.root)
 
@@ -246,7 +251,7 @@ class PivotSolver:
         if not self._free_parts.size:
             return centres
         targets = gaps - self.body.gaps(rotations, np.zeros_like(self.body.centres))
-        targets -= self._incidence[:, [self.body.root]].toarray() * root_centre
+        targets -= self._root_incidence * root_centre
         centres[self._free_parts] = self._factor.solve(self._weighted_incidence @ targets)
         return centres
 

@@ -45,8 +45,8 @@ class TransferMethod(Protocol):
     def alignment(self) -> Alignment:
         """How the target stands to the source."""
 
-    def transfer_frame(self, points: FloatArray) -> Float:
-        """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source."""
+    def transfer_frames(self, points: FloatArray) -> Float:
+        """Return the target ``(B, V', 3)`` for frames ``(B, V, 3)`` of the source, independent of each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,9 +117,8 @@ def _transfer_block(method: TransferMethod, block: tuple[FloatArray, PartPoses |
     """Transfer frames ``(B, V, 3)``, with planted poses of parts if given."""
     frames, poses = block
     if poses is None or not isinstance(method, MixedTransfer):
-        return np.stack([method.transfer_frame(points) for points in frames])
-    posed = zip(frames, map(PartPoses, *poses), strict=True)
-    return np.stack([method.transfer_frame(points, pose) for points, pose in posed])
+        return method.transfer_frames(frames)
+    return method.transfer_frames(frames, poses)
 
 
 def plan_transfer(

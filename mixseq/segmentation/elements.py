@@ -307,9 +307,13 @@ def sample_frames(points: FloatArray, frames: int) -> Float:
     """Return centred sampled frames ``(T, V, 3)``, in diagonals of the first frame, or of the largest if that is 0."""
     x = points[evenly_spaced(len(points), frames)].astype(np.float64)
     x -= x.mean(axis=1, keepdims=True)
-    diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
-    x /= diagonals[0] or diagonals.max() or 1.0
+    x /= _diagonals(x[:1])[0] or _diagonals(x).max() or 1.0
     return x
+
+
+def _diagonals(x: Float) -> Float:
+    """Return the diagonals ``(T,)`` of the bounding boxes of frames ``(T, V, 3)``."""
+    return np.asarray(np.linalg.norm(np.ptp(x, axis=1), axis=1))
 
 
 def face_areas(x: Float, topology: Topology) -> Float:

@@ -163,7 +163,7 @@ def decompose(
     widths = np.array([_largest_width(depths, mask, core) for mask in part_masks], dtype=np.int64)
 
     kept = [mask & (depths[width] <= 1) for mask, width in zip(part_masks, widths, strict=True)]
-    near_boundary = np.stack([(depth >= 1)[topology.faces].any(axis=1) for depth in depths])
+    near_boundary = np.stack([(depth >= 1).take(topology.faces.T).any(axis=0) for depth in depths])
     in_joint = near_boundary[widths[part_of_face], np.arange(len(topology.faces))]
     if motion is not None:
         in_joint &= ~motion.degenerate_mask
@@ -227,7 +227,8 @@ def _return_to_parts(topology: Topology, part_of_face: Index, kept: list[Mask], 
 
 def _mark_rigid_faces(topology: Topology, kept: list[Mask]) -> Mask:
     """Mark the faces whose corners all belong to one part."""
-    return np.asarray(np.logical_or.reduce([mask[topology.faces].all(axis=1) for mask in kept]))
+    corners = topology.faces.T
+    return np.asarray(np.logical_or.reduce([mask.take(corners).all(axis=0) for mask in kept]))
 
 
 def _mark_contact_vertices(topology: Topology, patches: Index) -> Mask:
@@ -241,8 +242,8 @@ def _mark_contact_vertices(topology: Topology, patches: Index) -> Mask:
         links.append(3 * sides + at_end.argmax(axis=2))  # corners of both faces at this end of the hinge
     corners = np.flatnonzero(np.repeat(in_joint, 3))
     fan = connected_components(len(corners), np.searchsorted(corners, np.concatenate(links)))
-    vertex_and_fan = np.stack([topology.faces.reshape(-1)[corners], fan], axis=1)
-    vertex_of_fan = np.unique(vertex_and_fan, axis=0)[:, 0]
+    fan_count = int(fan.max(initial=0)) + 1
+    vertex_of_fan = np.unique(topology.faces.reshape(-1)[corners].astype(np.int64) * fan_count + fan) // fan_count
     return np.asarray(np.bincount(vertex_of_fan, minlength=topology.vertex_count) > 1)
 
 

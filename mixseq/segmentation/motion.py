@@ -187,6 +187,17 @@ def average_members(values: Single, members: Int32, factors: Single, result: Sin
                 mean[k] += a[k] * factor
 
 
+@compiled
+def choose_lowest(costs: Single, labels: Index, lowest: Single) -> None:
+    """Replace labels 0 and costs ``(E,)`` of the first of K clusters by the lowest of costs ``(K, E)``."""
+    for k in range(1, len(costs)):
+        row = costs[k]
+        for e in range(len(row)):  # without branches, for vectorised loops
+            is_lower = row[e] < lowest[e]
+            labels[e] = k if is_lower else labels[e]
+            lowest[e] = row[e] if is_lower else lowest[e]
+
+
 _COLUMN_MULTIPLE = 8  # columns are padded to a multiple, for vectorised loops over clusters
 _MAX_WORK_NUMBERS = 1 << 22  # entries in an array of costs with more than `_COLUMN_MULTIPLE` columns
 _MAX_TALLY_NUMBERS = 1 << 22  # entries in rows of trajectories of several frames
@@ -208,7 +219,7 @@ class Clusters:
             min(capacity + _COLUMN_MULTIPLE - 1, _MAX_WORK_NUMBERS // longest) // _COLUMN_MULTIPLE * _COLUMN_MULTIPLE,
         )
         self._work = np.empty((3, longest * self._batch_size), dtype=np.float32)
-        self._costs = np.full((len(elements), capacity), np.inf, dtype=np.float32)
+        self._costs = np.full((capacity, len(elements)), np.inf, dtype=np.float32)
 
     def assign(self, rounds: int) -> Single:
         """Assign elements to clusters of lowest cost, averaged over neighbours `rounds` times; return it ``(E,)``."""
@@ -217,9 +228,11 @@ class Clusters:
         self._stale[:] = False
         for start in range(0, len(stale), self._batch_size):
             batch = stale[start : start + self._batch_size]
-            self._costs[:, batch] = self._average_costs(batch, rounds)[: len(self.labels), : len(batch)]
-        self._move(self._costs.argmin(axis=1))
-        return np.asarray(self._costs.min(axis=1))
+            self._costs[batch] = self._average_costs(batch, rounds)[: len(self.labels), : len(batch)].T
+        labels, lowest = np.zeros(len(self.labels), dtype=np.int64), self._costs[0].copy()
+        choose_lowest(self._costs[: np.flatnonzero(self._sizes)[-1] + 1], labels, lowest)
+        self._move(labels)
+        return np.asarray(lowest)
 
     def seed(self, members: Index, cluster: int) -> None:
         """Move elements to a cluster."""
@@ -240,7 +253,7 @@ class Clusters:
             self._tallies[cluster] = tally(e, labels, len(self._sizes), labels == cluster)[cluster]
         for empty in np.flatnonzero((self._sizes == 0) & self._stale):
             self._stale[empty] = False
-            self._costs[:, empty] = np.inf
+            self._costs[empty] = np.inf
 
     def _average_costs(self, clusters: Index, rounds: int) -> Single:
         """Return the costs ``(E, n)`` of elements in the given clusters, averaged over neighbours."""

@@ -5,11 +5,11 @@ The energy of the free vertices of a patch is
 .. math::
 
     E(x) = \sum_e w_e^2 (l_e - l_e^*)^2 + \sum_h w_h^2\, \mathrm{wrap}(\theta_h - \theta_h^*)^2
-         + \sum_v w_v^2 |x_v - x_v^*|^2 + w^2 (V - V^*)^2
+         + w^2 (V - V^*)^2
 
 with ``w_e = 1 / mean length of e`` and a constant ``w_h``, so that both terms measure relative changes (Froehlich and
-Botsch 2011). Soft constraints of positions and of the volume V of the patch are optional. Angle residuals are wrapped
-to (-pi, pi], so that folds beyond 180 degrees unfold the shorter way.
+Botsch 2011). A soft constraint of the volume V of the patch is optional. Angle residuals are wrapped to (-pi, pi], so
+that folds beyond 180 degrees unfold the shorter way.
 
 A step s solves :math:`(J^T J + \lambda \, \mathrm{diag}\, J^T J)\, s = -J^T r` (Levenberg-Marquardt). A step that does
 not lower the energy is repeated with ten times the damping :math:`\lambda`. If a step lowers the energy as predicted by
@@ -23,12 +23,15 @@ The linear initialisation (after Wang, Liu and Tong 2012) is independent of the 
    ``u`` is the side in frame axes. Fixed vertices keep their positions; without them, the first vertex is the origin.
 
 The result is exact for consistent lengths and angles.
+
+Fits *near positions* (`fit_patch_near`) start there, and add :math:`\sum_v w_v^2 |x_v - x_v^*|^2` to the energy. Then
+the matrix is well conditioned, and a few conjugate gradient steps cost a tenth of a factorisation.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
@@ -39,7 +42,14 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.segmentation.joints import Joint
 from mixseq.shells.face_frames import HingeFrames, flat_triangles, rotate_sides, triangle_frames
-from mixseq.shells.kernels import conjugate_gradients, shell_equations, shell_residuals
+from mixseq.shells.kernels import (
+    LEVEL_ENERGY_RATIO,
+    MAX_CONVERGED_DAMPING,
+    MAX_DAMPING,
+    fit_near,
+    shell_equations,
+    shell_residuals,
+)
 from mixseq.shells.solvers import BlockPattern, PoissonSystem, index_of, solve_frames
 from mixseq.types import Float, Index, Mask
 
@@ -206,50 +216,27 @@ class Patch(PickledWithoutCaches):
         return PoissonSystem(sides, np.ones(len(sides)), self.fixed_mask)
 
 
-CONJUGATE_GRADIENT_TOLERANCE = 0.03
-"""Relative residual at which conjugate gradients stop; the next Gauss-Newton step corrects the error."""
-
-MAX_CONJUGATE_GRADIENT_STEPS = 100
-"""Largest number of conjugate gradient steps, after which the matrix is factored."""
+NOT_FINITE = "lengths, angles, volumes or fixed vertices are not finite, or overflow if squared"
+"""Message of fits that cannot start."""
 
 MAX_SQUARABLE_RESIDUAL = 1e150
 """Largest residual of the volume with a finite square."""
 
-MAX_DAMPING = 1e12
-"""Largest damping; if it yields no step that lowers the energy, the energy is not smooth or not finite."""
-
-MAX_CONVERGED_DAMPING = 1e-2
-"""Largest damping with which short steps indicate convergence."""
-
-LEVEL_ENERGY_RATIO = 0.1
-"""Ratio of new to old energy below which the energy has not levelled off, as near an exact fit."""
-
-
-class SoftConstraint(NamedTuple):
-    """Soft constraints of positions of free vertices."""
-
-    positions: Float  # (f, 3) expected positions, in the unit of the points
-    weights: Float  # (f,) weights of distances from these positions, per unit; empty without constraints
-
-
-NO_CONSTRAINT = SoftConstraint(np.zeros((0, 3)), np.zeros(0))
-
 
 @dataclass(frozen=True, eq=False)
 class ShellProblem:
-    """Targets and weights of the lengths and angles of a patch, and optionally of positions and the volume."""
+    """Targets and weights of the lengths and angles of a patch, and optionally of the volume."""
 
     patch: Patch
     lengths: Float  # (e',) target lengths of edges with a free vertex
     angles: Float  # (h',) target angles of hinges with a free vertex, in radians
     length_weights: Float  # (e',) inverse typical lengths
     bending: float  # weight of an angle in radians
-    constraint: SoftConstraint = NO_CONSTRAINT
     volume: float | None = None  # target volume
     volume_weight: float = 1.0  # weight of the volume, the inverse of a typical volume
 
     def residuals(self, points: Float) -> Float:
-        """Weighted residuals of points ``(n, 3)``: of lengths, angles, positions and the volume."""
+        """Weighted residuals of points ``(n, 3)``: of lengths, angles and the volume."""
         return self.residuals_and_energy(points)[0]
 
     def energy(self, points: Float) -> float:
@@ -259,11 +246,9 @@ class ShellProblem:
     def residuals_and_energy(self, points: Float) -> tuple[Float, float]:
         """Return the residuals of points ``(n, 3)`` and the sum of their squares, which may be infinite."""
         equations = self.patch.equations
-        residuals = np.empty(len(equations.edges) + len(equations.hinges) + 3 * len(self.constraint.weights))
+        residuals = np.empty(len(equations.edges) + len(equations.hinges))
         targets = self.lengths, self.angles, self.length_weights, self.bending
-        constraint = equations.free_ids, *self.constraint
-        arguments = points, equations.edges, equations.hinges, *targets, *constraint, residuals
-        energy = float(shell_residuals(*arguments))
+        energy = float(shell_residuals(points, equations.edges, equations.hinges, *targets, residuals))
         if self.volume is None:
             return residuals, energy
         volume_residual = self.volume_weight * (signed_volume(points, self.patch.faces) - self.volume)
@@ -275,7 +260,7 @@ class ShellProblem:
         """Return the values ``(N,)`` of ``J^T J``, and ``J^T r`` ``(3 f,)``, without the volume term."""
         equations = self.patch.equations
         values, gradient = np.empty(len(equations.pattern.rows)), np.empty(3 * len(equations.free_ids))
-        weights = self.length_weights, self.bending, self.constraint.weights
+        weights = self.length_weights, self.bending
         blocks = equations.free_index, equations.edge_blocks, equations.hinge_blocks, equations.pattern.places
         mesh = points, equations.edges, equations.hinges
         arguments = *mesh, *weights, residuals, *blocks, values, gradient
@@ -297,8 +282,8 @@ def fit_shell(problem: ShellProblem, start: Float, settings: ShellSettings | Non
     points = np.array(start, dtype=np.float64)
     residuals, energy = problem.residuals_and_energy(points)
     if not np.isfinite(energy):
-        raise ReconstructionError("lengths, angles, volumes or fixed vertices are not finite, or overflow if squared")
-    damping, use_cg = 1e-6, bool(problem.constraint.weights.size)
+        raise ReconstructionError(NOT_FINITE)
+    damping = 1e-6
     for iteration in range(settings.iterations):
         if np.abs(residuals).max(initial=0.0) <= settings.exact:
             return points, ShellReport(energy, iteration, True)
@@ -309,7 +294,7 @@ def fit_shell(problem: ShellProblem, start: Float, settings: ShellSettings | Non
         while True:
             values[pattern.diagonal] = diagonal + damping * diagonal + 1e-12 * diagonal.max(initial=0.0)
             if row is None:
-                step, use_cg = _solve_step(pattern, values, gradient, use_cg)
+                step = -pattern.analysis.factor(values).solve(gradient)
             else:
                 step = _solve_step_with_volume(pattern, values, gradient, row)
             predicted_gain = -float(gradient @ step)  # of the linear model, for small damping
@@ -330,21 +315,6 @@ def fit_shell(problem: ShellProblem, start: Float, settings: ShellSettings | Non
             return points, ShellReport(energy, iteration + 1, True)
         damping = max(damping * (0.2 if gain_ratio > 0.75 else 1.0 if gain_ratio > 0.25 else 4.0), 1e-10)
     return points, ShellReport(energy, settings.iterations, False)
-
-
-def _solve_step(pattern: BlockPattern, values: Float, gradient: Float, use_cg: bool) -> tuple[Float, bool]:
-    """Solve for a step, optionally by conjugate gradients; also return whether conjugate gradients converged.
-
-    If all positions are constrained, the matrix is well conditioned, and a few conjugate gradient steps cost a tenth of
-    a factorisation. Without constraints, soft bending modes make it ill conditioned.
-    """
-    if use_cg:
-        step = np.empty_like(gradient)
-        matrix = pattern.starts, pattern.rows, pattern.places, values
-        limits = CONJUGATE_GRADIENT_TOLERANCE, MAX_CONJUGATE_GRADIENT_STEPS
-        if conjugate_gradients(*matrix, -gradient, *limits, step) >= 0:
-            return step, True
-    return -pattern.analysis.factor(values).solve(gradient), False
 
 
 def _solve_step_with_volume(pattern: BlockPattern, values: Float, gradient: Float, row: Float) -> Float:
@@ -370,25 +340,14 @@ def _initial_frames(patch: Patch, flat: Float, angles: Float, positions: Float) 
 
 
 def rebuild_patch(
-    patch: Patch,
-    lengths: Float,
-    angles: Float,
-    weights: Float,
-    positions: Float,
-    settings: ShellSettings,
-    soft: SoftConstraint = NO_CONSTRAINT,
+    patch: Patch, lengths: Float, angles: Float, weights: Float, positions: Float, settings: ShellSettings
 ) -> tuple[Float, ShellReport]:
     """Rebuild a patch ``(n, 3)`` from lengths ``(e',)``, and angles ``(h',)`` in radians, around its free vertices.
 
-    Weights ``(e',)`` are inverse typical lengths. Fixed vertices are at `positions` ``(n, 3)``. Softly constrained free
-    vertices start at their expected positions.
+    Weights ``(e',)`` are inverse typical lengths. Fixed vertices are at `positions` ``(n, 3)``.
     """
-    problem = ShellProblem(patch, clamp_lengths(lengths, weights), angles, weights, settings.bending, soft)
-    if not soft.weights.size:
-        return fit_shell(problem, _linear_start(problem, positions), settings)
-    start = np.array(positions, dtype=np.float64)
-    start[patch.free_ids] = soft.positions
-    return fit_shell(problem, start, settings)
+    problem = ShellProblem(patch, clamp_lengths(lengths, weights), angles, weights, settings.bending)
+    return fit_shell(problem, _linear_start(problem, positions), settings)
 
 
 def _linear_start(problem: ShellProblem, positions: Float) -> Float:
@@ -397,3 +356,25 @@ def _linear_start(problem: ShellProblem, positions: Float) -> Float:
     lengths, angles = edge_lengths(positions, patch.edges), dihedral_angles(positions, patch.hinges)
     lengths[patch.free_edge_mask], angles[patch.free_hinge_mask] = problem.lengths, problem.angles
     return linear_initialisation(patch, lengths, angles, positions)
+
+
+def fit_patch_near(
+    patch: Patch,
+    lengths: Float,
+    angles: Float,
+    weights: Float,
+    positions: Float,
+    position_weights: Float,
+    settings: ShellSettings,
+) -> Float:
+    """Return the vertices ``(n, 3)`` of a patch fitted to lengths, of at least 0, and angles as `rebuild_patch`.
+
+    Distances of the free vertices from `positions` ``(n, 3)``, the start, have weights ``(f,)`` in inverse units.
+    """
+    points, rows = np.array(positions, dtype=np.float64), patch.equations
+    elements = rows.edges, rows.hinges, lengths, angles, weights, settings.bending
+    limits = settings.iterations, settings.tolerance, settings.exact, settings.accuracy
+    energy = fit_near(points, *elements, rows.free_ids, rows.free_index, position_weights, *limits)
+    if not np.isfinite(energy):
+        raise ReconstructionError(NOT_FINITE)
+    return points

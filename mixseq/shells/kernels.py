@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixseq.mesh.measure_kernels import Vector, angle, dot, length, opening, side, sides_and_normals
 from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.types import Float, Index, Int32, Mask
 
-ONE, TWO, THREE = np.uint64(1), np.uint64(2), np.uint64(3)
-"""Steps of unsigned indices; sums with signed numbers would be floats."""
+Rows = NDArray[np.uint64]
+"""Unsigned indices, which save the check for negative ones."""
 
 MIN_DOUBLE = 2.2250738585072014e-308  # least positive double with full precision
 FULL_TURN = 2.0 * math.pi  # angle of a full turn in radians
@@ -192,15 +193,12 @@ def shell_residuals(
     angles: Float,
     weights: Float,
     bending: float,
-    free_ids: Index,
-    positions: Float,
-    position_weights: Float,
     residuals: Float,
 ) -> float:
-    """Write the residuals ``(e' + h' + 3f,)`` of lengths, angles and positions; return the sum of their squares.
+    """Write the residuals ``(e' + h',)`` of lengths and angles; return the sum of their squares.
 
     Vertices ``(n, 3)`` and lengths ``(e',)`` are in diagonals, angles ``(h',)`` in radians, weights ``(e',)`` per
-    diagonal, `bending` per radian. Position weights ``(f,)`` are empty without constraints.
+    diagonal, `bending` per radian.
     """
     energy = 0.0
     for k in range(len(edges)):
@@ -213,12 +211,6 @@ def shell_residuals(
         r = bending * wrap_angle(angle(x, a, b, c, d) - angles[k])
         residuals[first + k] = r
         energy += r * r
-    first += len(hinges)
-    for k in range(len(position_weights)):
-        for i in range(3):
-            r = position_weights[k] * (x[free_ids[k], i] - positions[k, i])
-            residuals[first + 3 * k + i] = r
-            energy += r * r
     return energy
 
 
@@ -255,7 +247,6 @@ def shell_equations(
     hinges: Index,
     weights: Float,
     bending: float,
-    position_weights: Float,
     residuals: Float,
     free_index: Index,
     edge_blocks: Index,
@@ -305,114 +296,227 @@ def shell_equations(
                         _add_coupling(values, places, block, g, o, p)
                     else:
                         _add_same_vertex(values, places, block, g, p, o)
-    first += len(hinges)
-    for k in range(len(position_weights)):
-        for i in range(3):
-            gradient[3 * k + i] += position_weights[k] * residuals[first + 3 * k + i]
-            values[places[k, i] + i] += position_weights[k] * position_weights[k]
+
+
+MAX_DAMPING = 1e12
+"""Largest damping; if it yields no step that lowers the energy, the energy is not smooth or not finite."""
+
+MAX_CONVERGED_DAMPING = 1e-2
+"""Largest damping with which short steps indicate convergence."""
+
+LEVEL_ENERGY_RATIO = 0.1
+"""Ratio of new to old energy below which the energy has not levelled off, as near an exact fit."""
+
+MAX_DECAY = 0.1
+"""Largest ratio of successive gains by which the next step is predicted, and not computed if it is short."""
+
+CONJUGATE_GRADIENT_TOLERANCE = 0.03
+"""Relative residual at which conjugate gradients stop; the next Gauss-Newton step corrects the error."""
+
+MAX_CONJUGATE_GRADIENT_STEPS = 100
+"""Largest number of conjugate gradient steps; the solution descends after any number."""
 
 
 @compiled
-def conjugate_gradients(
-    starts: Index,
-    rows: Index,
-    places: Index,
-    values: Float,
-    right: Float,
+def fit_near(
+    x: Float,
+    edges: Index,
+    hinges: Index,
+    lengths: Float,
+    angles: Float,
+    weights: Float,
+    bending: float,
+    free_ids: Index,
+    free_index: Index,
+    position_weights: Float,
+    iterations: int,
     tolerance: float,
-    max_steps: int,
+    exact: float,
+    accuracy: float,
+) -> float:
+    """Move the free vertices of a patch ``(n, 3)`` to lengths and angles, near their positions; return the energy.
+
+    Arguments are those of `shell_residuals` and `shell_equations`, weights of positions ``(f,)`` per diagonal, and the
+    limits of `ShellSettings`. Vertices stay where they are if the energy is not finite.
+    """
+    count, first = len(free_ids), len(edges)
+    edge_rows, hinge_rows = np.empty((first, 2), np.uint64), np.empty((len(hinges), 4), np.uint64)
+    for elements, element_rows in ((edges, edge_rows), (hinges, hinge_rows)):
+        for k in range(len(elements)):
+            for p in range(elements.shape[1]):
+                row = free_index[elements[k, p]]
+                element_rows[k, p] = row if row >= 0 else count  # fixed vertices share a last row without effect
+    edge_slopes, hinge_slopes = np.empty((first, 2, 3)), np.empty((len(hinges), 4, 3))
+    system = edge_rows, hinge_rows, edge_slopes, hinge_slopes
+    residuals, squares = np.empty(first + len(hinges)), np.square(position_weights)
+    gradient, step, offsets = np.empty((count + 1, 3)), np.empty((count + 1, 3)), np.zeros((count, 3))
+    blocks, work = np.empty((count + 1, 6)), np.empty((4, count + 1, 3))
+    energy = shell_residuals(x, edges, hinges, lengths, angles, weights, bending, residuals)
+    damping, previous_gain = 1e-6, 0.0
+    for _ in range(iterations):
+        if not exact * exact < energy < np.inf:
+            break
+        gradient[:] = 0.0
+        blocks[:] = 0.0
+        for k in range(first):
+            length_gradient(x, edges[k, 0], edges[k, 1], weights[k], edge_slopes[k])
+            for p in range(2):
+                _add_row(edge_slopes[k, p], residuals[k], edge_rows[k, p], gradient, blocks)
+        for k in range(len(hinges)):
+            angle_gradient(
+                x, hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3], bending, 0.0, 0.0, hinge_slopes[k]
+            )
+            for p in range(4):
+                _add_row(hinge_slopes[k, p], residuals[first + k], hinge_rows[k, p], gradient, blocks)
+        for v in range(count):
+            for i in range(3):
+                gradient[v, i] += squares[v] * offsets[v, i]
+                blocks[v, i * (7 - i) // 2] += squares[v]
+        while True:
+            _solve_near(system, squares, blocks, damping, gradient, work, step)
+            gain, longest, new_energy = 0.0, 0.0, 0.0
+            for v in range(count):
+                for i in range(3):
+                    gain -= gradient[v, i] * step[v, i]
+                    longest = max(longest, abs(step[v, i]))
+                    x[free_ids[v], i] += step[v, i]
+                    new_energy += squares[v] * (offsets[v, i] + step[v, i]) ** 2
+            new_energy += shell_residuals(x, edges, hinges, lengths, angles, weights, bending, residuals)
+            if new_energy < energy:
+                break
+            for v in range(count):
+                for i in range(3):
+                    x[free_ids[v], i] -= step[v, i]
+            if gain <= tolerance * energy or damping >= MAX_DAMPING:
+                return energy
+            damping *= 10.0
+        for v in range(count):
+            for i in range(3):
+                offsets[v, i] += step[v, i]
+        gain_ratio, has_levelled = (energy - new_energy) / gain, new_energy > LEVEL_ENERGY_RATIO * energy
+        energy, decay, previous_gain = new_energy, gain / previous_gain, gain
+        is_fast = decay <= MAX_DECAY and longest * math.sqrt(decay) <= accuracy  # then the next step is predicted
+        if gain * (decay if is_fast else 1.0) <= tolerance * energy:
+            break
+        if has_levelled and damping <= MAX_CONVERGED_DAMPING and longest <= accuracy:
+            break
+        damping = max(damping * (0.2 if gain_ratio > 0.75 else 1.0 if gain_ratio > 0.25 else 4.0), 1e-10)
+    return energy
+
+
+@force_inlined
+def _add_row(slope: Float, residual: float, row: int, gradient: Float, blocks: Float) -> None:
+    """Add the slope ``(3,)`` of a residual by a vertex to gradient and diagonal block of the vertex."""
+    x, y, z = slope[0], slope[1], slope[2]
+    gradient[row, 0] += residual * x
+    gradient[row, 1] += residual * y
+    gradient[row, 2] += residual * z
+    blocks[row, 0] += x * x
+    blocks[row, 1] += x * y
+    blocks[row, 2] += x * z
+    blocks[row, 3] += y * y
+    blocks[row, 4] += y * z
+    blocks[row, 5] += z * z
+
+
+@compiled
+def _solve_near(
+    system: tuple[Rows, Rows, Float, Float],
+    squares: Float,
+    blocks: Float,
+    damping: float,
+    gradient: Float,
+    work: Float,
     solution: Float,
-) -> int:
-    """Solve into `solution` ``(n,)``, with inverse diagonal blocks as preconditioner; return the number of steps.
+) -> None:
+    """Solve the damped normal equations by conjugate gradients, with inverse diagonal blocks as preconditioner.
 
-    Return -1 after `max_steps`, or if rounding makes the matrix or the preconditioner indefinite. The tolerance is
-    relative to the residual of the zero solution, in the norm of the preconditioner.
+    The tolerance is relative to the residual of the zero solution, in the norm of the preconditioner.
     """
-    size = len(right)
-    inverse = np.empty((size // 3, 6))
-    if not _invert_blocks(places, values, inverse):
-        return -1
-    r, z, q, p = right.copy(), np.empty(size), np.empty(size), np.zeros(size)
+    count = len(squares)
+    r, z, q, p = work[0], work[1], work[2], work[3]
+    largest = 0.0
+    for v in range(count):
+        for i in range(3):
+            largest = max(largest, blocks[v, i * (7 - i) // 2])
+    inverse, added = np.empty((count, 6)), np.empty((count, 3))
+    for v in range(count):
+        for i in range(3):
+            added[v, i] = damping * blocks[v, i * (7 - i) // 2] + 1e-12 * largest
+            r[v, i] = -gradient[v, i]
+        _invert_block(blocks[v], added[v], inverse[v])
     solution[:] = 0.0
+    p[:] = 0.0
     previous = initial = 0.0
-    for step in range(max_steps + 1):
-        for k in range(len(inverse)):
-            v = 3 * k
-            x, y, w = r[v], r[v + 1], r[v + 2]
-            z[v] = inverse[k, 0] * x + inverse[k, 1] * y + inverse[k, 2] * w
-            z[v + 1] = inverse[k, 1] * x + inverse[k, 3] * y + inverse[k, 4] * w
-            z[v + 2] = inverse[k, 2] * x + inverse[k, 4] * y + inverse[k, 5] * w
+    for _ in range(MAX_CONJUGATE_GRADIENT_STEPS):
         current = 0.0
-        for i in range(size):
-            current += r[i] * z[i]
-        if step == 0:
+        for v in range(count):
+            x, y, w, m = r[v, 0], r[v, 1], r[v, 2], inverse[v]
+            z[v, 0] = m[0] * x + m[1] * y + m[2] * w
+            z[v, 1] = m[1] * x + m[3] * y + m[4] * w
+            z[v, 2] = m[2] * x + m[4] * y + m[5] * w
+            current += x * z[v, 0] + y * z[v, 1] + w * z[v, 2]
+        if previous == 0.0:
             initial = current
-        if current < 0.0:
-            return -1
-        if current <= tolerance * tolerance * initial:
-            return step
-        ratio = current / previous if step > 0 else 0.0
+        if not current > CONJUGATE_GRADIENT_TOLERANCE * CONJUGATE_GRADIENT_TOLERANCE * initial:
+            return
+        ratio = current / previous if previous > 0.0 else 0.0
         previous = current
-        for i in range(size):
-            p[i] = z[i] + ratio * p[i]
-        _multiply(starts, rows, values, p, q)
+        for v in range(count):
+            for i in range(3):
+                p[v, i] = z[v, i] + ratio * p[v, i]
+                q[v, i] = (squares[v] + added[v, i]) * p[v, i]
+        _add_product(system, p, q)
         curvature = 0.0
-        for i in range(size):
-            curvature += p[i] * q[i]
+        for v in range(count):
+            for i in range(3):
+                curvature += p[v, i] * q[v, i]
         if not curvature > 0.0:
-            return -1
+            return
         length = current / curvature
-        for i in range(size):
-            solution[i] += length * p[i]
-            r[i] -= length * q[i]
-    return -1
+        for v in range(count):
+            for i in range(3):
+                solution[v, i] += length * p[v, i]
+                r[v, i] -= length * q[v, i]
 
 
 @force_inlined
-def _multiply(starts: Index, rows: Index, values: Float, p: Float, q: Float) -> None:
-    """Write the product of the matrix and p to q, three columns at a time.
+def _add_product(system: tuple[Rows, Rows, Float, Float], p: Float, q: Float) -> None:
+    """Add the product of ``J^T J`` and p to q."""
+    edge_rows, hinge_rows, edge_slopes, hinge_slopes = system
+    for k in range(len(edge_rows)):
+        a, b, g = edge_rows[k, 0], edge_rows[k, 1], edge_slopes[k, 1]
+        x, y, z = g[0], g[1], g[2]
+        s = x * (p[b, 0] - p[a, 0]) + y * (p[b, 1] - p[a, 1]) + z * (p[b, 2] - p[a, 2])
+        q[a, 0] -= s * x
+        q[a, 1] -= s * y
+        q[a, 2] -= s * z
+        q[b, 0] += s * x
+        q[b, 1] += s * y
+        q[b, 2] += s * z
+    for k in range(len(hinge_rows)):
+        g, rows = hinge_slopes[k], hinge_rows[k]
+        s = 0.0
+        for o in range(4):
+            s += g[o, 0] * p[rows[o], 0] + g[o, 1] * p[rows[o], 1] + g[o, 2] * p[rows[o], 2]
+        for o in range(4):
+            for i in range(3):
+                q[rows[o], i] += s * g[o, i]
 
-    Unsigned indices save the check for negative ones, a quarter of the time.
+
+@force_inlined
+def _invert_block(block: Float, added: Float, inverse: Float) -> None:
+    """Write the inverse of a symmetric block ``(6,)`` with numbers ``(3,)`` added to its diagonal, or of its diagonal.
+
+    The latter if rounding makes the block indefinite.
     """
-    q[:] = 0.0
-    for v in range(0, len(p), 3):
-        a, b, c = np.uint64(starts[v]), np.uint64(starts[v + 1]), np.uint64(starts[v + 2])
-        end = b
-        p0, p1, p2 = p[v], p[v + 1], p[v + 2]
-        q0 = values[a] * p0 + values[a + ONE] * p1 + values[a + TWO] * p2
-        q1 = values[a + ONE] * p0 + values[b] * p1 + values[b + ONE] * p2
-        q2 = values[a + TWO] * p0 + values[b + ONE] * p1 + values[c] * p2
-        a, b, c = a + THREE, b + TWO, c + ONE
-        while a < end:
-            i = np.uint64(rows[a])
-            x0, x1, x2 = p[i], p[i + ONE], p[i + TWO]
-            a0, a1, a2 = values[a], values[a + ONE], values[a + TWO]
-            b0, b1, b2 = values[b], values[b + ONE], values[b + TWO]
-            c0, c1, c2 = values[c], values[c + ONE], values[c + TWO]
-            q[i] += a0 * p0 + b0 * p1 + c0 * p2
-            q[i + ONE] += a1 * p0 + b1 * p1 + c1 * p2
-            q[i + TWO] += a2 * p0 + b2 * p1 + c2 * p2
-            q0 += a0 * x0 + a1 * x1 + a2 * x2
-            q1 += b0 * x0 + b1 * x1 + b2 * x2
-            q2 += c0 * x0 + c1 * x1 + c2 * x2
-            a, b, c = a + THREE, b + THREE, c + THREE
-        q[v] += q0
-        q[v + 1] += q1
-        q[v + 2] += q2
-
-
-@force_inlined
-def _invert_blocks(places: Index, values: Float, inverse: Float) -> bool:
-    """Write inverse diagonal blocks as upper triangles ``(n, 6)``, by rows; return whether all blocks are definite."""
-    for v in range(len(inverse)):
-        a, b, c = values[places[v, 0]], values[places[v, 0] + 1], values[places[v, 0] + 2]
-        d, e, f = values[places[v, 1] + 1], values[places[v, 1] + 2], values[places[v, 2] + 2]
-        first, second, third = d * f - e * e, c * e - b * f, b * e - d * c
-        determinant = a * first + b * second + c * third
-        if not (a > 0.0 and a * d > b * b and determinant > 0.0):
-            return False
-        scale = 1.0 / determinant
-        inverse[v, 0], inverse[v, 1], inverse[v, 2] = scale * first, scale * second, scale * third
-        inverse[v, 3], inverse[v, 4] = scale * (a * f - c * c), scale * (b * c - a * e)
-        inverse[v, 5] = scale * (a * d - b * b)
-    return True
+    a, b, c = block[0] + added[0], block[1], block[2]
+    d, e, f = block[3] + added[1], block[4], block[5] + added[2]
+    first, second, third = d * f - e * e, c * e - b * f, b * e - d * c
+    determinant = a * first + b * second + c * third
+    if not (a * d > b * b and determinant > 0.0):
+        b, c, e = 0.0, 0.0, 0.0
+        first, second, third, determinant = d * f, 0.0, 0.0, a * d * f
+    scale = 1.0 / determinant
+    inverse[0], inverse[1], inverse[2] = scale * first, scale * second, scale * third
+    inverse[3], inverse[4], inverse[5] = scale * (a * f - c * c), scale * (b * c - a * e), scale * (a * d - b * b)

@@ -223,10 +223,14 @@ class PoissonSystem(PickledWithoutCaches):
             result[self.fixed_mask] = positions[self.fixed_mask]
             sides = sides - (result[self.edges[:, 1]] - result[self.edges[:, 0]])
         if self.unknown_ids.size:
-            right = np.zeros_like(result)
-            add_weighted_sides(self.edges, self.weights, np.ascontiguousarray(sides), right)
-            result[self.unknown_ids] = self.factor.solve(right[self.unknown_ids])
+            result[self.unknown_ids] = self.factor.solve(self.right_hand_side(sides))
         return result
+
+    def right_hand_side(self, sides: Float) -> Float:
+        """Return the right-hand side ``(u, k)`` of the unknown vertices for sides ``(S, k)``."""
+        right = np.zeros((len(self.fixed_mask), sides.shape[1]))
+        add_weighted_sides(self.edges, self.weights, np.ascontiguousarray(sides), right)
+        return right[self.unknown_ids]
 
 
 def _rslab() -> Any | None:

@@ -166,8 +166,12 @@ class Pieces:
 
     def merge_rows(self, rows: Float) -> Float:
         """Return vertices ``(V, 3)`` from rows ``(N, 3)``; a shared vertex is the mean of its rows."""
-        counts = np.bincount(self.vertex_of_row)
-        return scatter_add(rows, self.vertex_of_row, len(counts)) / counts[:, None]
+        return scatter_add(rows, self.vertex_of_row, len(self._row_counts)) / self._row_counts[:, None]
+
+    @cached_property
+    def _row_counts(self) -> Index:
+        """Number of rows ``(V,)`` of every vertex."""
+        return np.bincount(self.vertex_of_row)
 
     @cached_property
     def _rows_of_pieces(self) -> list[Index]:

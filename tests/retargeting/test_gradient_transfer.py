@@ -54,7 +54,7 @@ def test_transfer_to_the_same_mesh_is_identity(name: str) -> None:
     sequence: MeshSequence = SEQUENCES[name]()
     mesh = sequence.points[0].astype(np.float64), sequence.faces.astype(np.int64)
     method = gradients(mesh, mesh)
-    moved = np.stack([method.transfer_frame(x) for x in sequence.points])
+    moved = method.transfer_frames(sequence.points)
     assert furthest(moved, sequence.points) <= 1e-9 * sequence.diagonal
 
 
@@ -68,7 +68,7 @@ def test_a_rigid_motion_of_the_source_is_one_of_the_target(motion: tuple[Float, 
     target = shaped(source[0]) @ lying.T, source[1]
     method = gradients(source, target)
     assert np.array_equal(method.alignment.rotation, lying.round())
-    moved = method.transfer_frame(source[0] @ turn.T + shift)
+    moved = method.transfer_frames((source[0] @ turn.T + shift)[None])[0]
     about = lying.round() @ turn @ lying.round().T
     root = np.arange(len(tube(6, 9)[0]))
     middle, way = target[0][root].mean(axis=0), (source[0] @ turn.T + shift - source[0])[root].mean(axis=0)
@@ -85,7 +85,7 @@ def test_a_linear_map_of_the_source_is_applied_to_the_target() -> None:
     method = gradients(source, target)
     np.testing.assert_array_equal(method.alignment.rotation, np.eye(3))
     matrix = rotation((0.4, 1.0, -0.3)) @ [[1.3, 0.2, 0.1], [0.0, 0.8, -0.3], [0.0, 0.0, 1.1]]
-    moved, expected = method.transfer_frame(source[0] @ matrix.T), target[0] @ matrix.T
+    moved, expected = method.transfer_frames((source[0] @ matrix.T)[None])[0], target[0] @ matrix.T
     np.testing.assert_allclose(moved - moved.mean(axis=0), expected - expected.mean(axis=0), atol=1e-9)
     way = (source[0] @ matrix.T - source[0]).mean(axis=0)
     np.testing.assert_allclose(moved.mean(axis=0) - target[0].mean(axis=0), method.alignment.scale * way, atol=1e-9)
@@ -98,7 +98,7 @@ def test_a_copy_of_any_size_moves_as_the_source(size: float) -> None:
     method = gradients(source, target)
     for x in bending(source):
         expected = size * x @ turn.T + [4.0, 5.0, 6.0]
-        assert furthest(method.transfer_frame(x), expected) <= 1e-9 * size * 4
+        assert furthest(method.transfer_frames(x[None])[0], expected) <= 1e-9 * size * 4
 
 
 def test_gradients_of_a_coarse_mesh_move_its_subdivision() -> None:
@@ -106,7 +106,7 @@ def test_gradients_of_a_coarse_mesh_move_its_subdivision() -> None:
     source = tube(6, 9)
     method = gradients(source, subdivided(source), to_subdivided(source))
     for x in bending(source):
-        assert furthest(method.transfer_frame(x), subdivided((x, source[1]))[0]) <= 1e-9
+        assert furthest(method.transfer_frames(x[None])[0], subdivided((x, source[1]))[0]) <= 1e-9
 
 
 def test_gaps_between_pieces_scale_with_the_target() -> None:
@@ -122,7 +122,7 @@ def test_gaps_between_pieces_scale_with_the_target() -> None:
     assert np.array_equal(method.alignment.rotation, turn)
     opened, away = source[0].copy(), np.array([0.3, -0.2, 0.9])
     opened[count:] += away
-    moved = method.transfer_frame(opened)
+    moved = method.transfer_frames(opened[None])[0]
     np.testing.assert_allclose(moved[:count], target[0][:count], atol=1e-9)
     np.testing.assert_allclose(moved[count:], target[0][count:] + method.alignment.map_vectors(away), atol=1e-9)
 
@@ -133,7 +133,7 @@ def test_held_components_rotate_with_their_holder() -> None:
     source = joined(body, (0.2 * lid[0] + [0.0, 0.0, 4.5], lid[1]))
     target = source[0] * [1.0, 1.0, 1.4], source[1]
     method = gradients(source, target)
-    moved = method.transfer_frame(bent(source[0], 1.2))
+    moved = method.transfer_frames(bent(source[0], 1.2)[None])[0]
     (tip,), count = method.attachments.holder_vertices, len(body[0])
     turn = rotation((1.2, 0.0, 0.0))
     expected = (target[0][count:] - target[0][tip]) @ turn.T + moved[tip]
@@ -145,7 +145,7 @@ def test_followers_move_rigidly_with_leaders() -> None:
     leader = 6 * 23 + 1  # near the upper end
     target = joined(body, hat)
     method = gradients(body, target, led(body, hat, leader))
-    moved = method.transfer_frame(bent(body[0], 1.2))
+    moved = method.transfer_frames(bent(body[0], 1.2)[None])[0]
     count = len(body[0])
     np.testing.assert_allclose(moved[:count], bent(body[0], 1.2), atol=1e-9)
     turn = rotation((1.2, 0.0, 0.0))
@@ -163,7 +163,7 @@ def test_an_unmatched_patch_follows() -> None:
     corners[top], weights[top], leaders[top] = -1, 0.0, 8 * 22
     faces = np.where(np.isin(mesh[1], top).any(axis=1), -1, correspondence.faces)
     some = replace(correspondence, corners=corners, weights=weights, leaders=leaders, faces=faces)
-    moved = gradients(mesh, mesh, some).transfer_frame(bent(mesh[0], 1.2))
+    moved = gradients(mesh, mesh, some).transfer_frames(bent(mesh[0], 1.2)[None])[0]
     centred = bent(mesh[0], 1.2)
     np.testing.assert_allclose(moved - moved[0], centred - centred[0], atol=1e-9)
 
@@ -186,5 +186,7 @@ def test_a_source_in_single_precision_is_computed_in_double() -> None:
     mesh = tube(6, 9)
     method = gradients(mesh, mesh)
     single = bending(mesh)[2].astype(np.float32)
-    np.testing.assert_array_equal(method.transfer_frame(single), method.transfer_frame(single.astype(np.float64)))
-    assert topology_of(mesh).vertex_count == len(method.transfer_frame(single))
+    np.testing.assert_array_equal(
+        method.transfer_frames(single[None])[0], method.transfer_frames(single.astype(np.float64)[None])[0]
+    )
+    assert topology_of(mesh).vertex_count == len(method.transfer_frames(single[None])[0])

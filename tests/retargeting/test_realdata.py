@@ -60,7 +60,7 @@ def test_noise_of_the_source_is_hardly_amplified(data: Path, seed: int) -> None:
     parts = prepare_source(wolf).part_of_face()
     target = still(wolf.points[0] * np.array([1, 1.5, 1], dtype=np.float32), wolf)
     exact, noisy = (
-        np.stack([planned.method.transfer_frame(points) for points in source.points[8:13]])
+        planned.method.transfer_frames(source.points[8:13])
         for source in (wolf, wolf.with_points(wolf.points + noise))
         for planned in [plan_transfer(source, target, TransferSettings(parts=parts))]
     )

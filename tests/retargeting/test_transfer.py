@@ -284,9 +284,9 @@ def test_used_transfers_are_picklable(method: TransferName) -> None:
         warnings.simplefilter("ignore", MixseqWarning)  # never at rest
         target = one(shaped(source.points[0]), source)
         planned = plan_transfer(source, target, TransferSettings(method=method, contacts=contacts))
-    own = planned.method.transfer_frame(source.points[2])
+    own = planned.method.transfer_frames(source.points[2][None])[0]
     again = pickle.loads(pickle.dumps(planned.method))
-    np.testing.assert_array_equal(again.transfer_frame(source.points[2]), own)
+    np.testing.assert_array_equal(again.transfer_frames(source.points[2][None])[0], own)
 
 
 def test_a_fine_target_comes_in_smaller_blocks(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,7 @@ from mixseq.errors import ReconstructionError
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
 from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.fitting import Patch, ShellProblem, ShellSettings, fit_shell, rebuild_patch
+from mixseq.shells.fitting import Patch, ShellProblem, ShellSettings, fit_patch_near, fit_shell, rebuild_patch
 from mixseq.types import Float
 from tests.meshes import Mesh, bent, flipped, grid, pages, seeds, topology_of, torus, tube
 from tests.shells.formulas import jacobian
@@ -154,6 +155,48 @@ def test_values_that_are_not_finite_are_an_error(what: str) -> None:
     {"lengths": problem.lengths, "angles": problem.angles, "start": start[20]}[what][0] = np.nan
     with pytest.raises(ReconstructionError, match="not finite"):
         fit_shell(problem, start)
+
+
+NEAR_WEIGHT = 0.4
+"""Weight of distances from the start, per unit."""
+
+
+def fitted_near(problem: ShellProblem, start: Float, settings: ShellSettings) -> Float:
+    """Fit the free vertices of a problem near a start, with different weights in all three directions' vertices."""
+    weights = NEAR_WEIGHT * np.linspace(1.0, 2.0, len(problem.patch.free_ids))
+    targets = problem.lengths, problem.angles, problem.length_weights
+    return fit_patch_near(problem.patch, *targets, start, weights, replace(settings, bending=problem.bending))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", MESHES)
+def test_near_positions_the_sum_of_both_energies_is_stationary(name: str, seed: int) -> None:
+    """Their gradients balance, as far as energies of sixteen digits can be compared."""
+    mesh, fixed = MESHES[name]
+    rng, problem = np.random.default_rng(seed), problem_of(mesh, fixed)
+    problem = replace(problem, lengths=problem.lengths * rng.uniform(0.9, 1.1, len(problem.lengths)))
+    start, free = mesh[0] + rng.normal(scale=0.02, size=mesh[0].shape), problem.patch.free_ids
+    points = fitted_near(problem, start, ShellSettings(tolerance=0.0, accuracy=0.0, iterations=500))
+    np.testing.assert_array_equal(points[fixed], start[fixed])
+    weights = NEAR_WEIGHT * np.linspace(1.0, 2.0, len(free))
+    pull = np.square(weights)[:, None] * (points - start)[free]
+    slope = (jacobian(problem, points).T @ problem.residuals(points)).reshape(-1, 3)
+    assert np.abs(pull).max() > 1e-4
+    np.testing.assert_allclose(slope, -pull, atol=1e-6 * np.abs(pull).max())
+
+
+def test_near_a_solution_all_stays() -> None:
+    problem = problem_of(BENT, ENDS)
+    np.testing.assert_array_equal(fitted_near(problem, BENT[0], ShellSettings()), BENT[0])
+    moved = BENT[0] + 0.01 * np.sin(9 * BENT[0])
+    np.testing.assert_array_equal(fitted_near(problem, moved, ShellSettings(iterations=0)), moved)
+
+
+def test_fits_near_what_is_not_finite_are_an_error() -> None:
+    problem = problem_of(BENT, ENDS)
+    problem.angles[0] = np.nan
+    with pytest.raises(ReconstructionError, match="not finite"):
+        fitted_near(problem, BENT[0], ShellSettings())
 
 
 def rebuilt(mesh: Mesh, fixed: list[int], lengths: Float | None = None) -> tuple[Float, bool]:
