@@ -39,8 +39,7 @@ from mixseq.signals.decoding import largest_distance, played_blocks, quarter_tim
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
-MIN_NORMAL_HEIGHT_RATIO = 1e-6
-"""Ratio of height to longest side up to which the normal of a face is undefined."""
+MIN_NORMAL_HEIGHT_RATIO = 1e-6  # ratio of height to longest side up to which the normal of a face is undefined
 
 _MAX_BLOCK_VERTICES = 50_000  # vertices in all frames of a block: about 40 MB of temporary arrays
 

@@ -19,7 +19,7 @@ from scripts.benchmarks.peers.prediction import prediction, traversal
 from scripts.benchmarks.pose import gradient_solver, vertex_solver
 from tests.meshes import SEQUENCES, bar, bent, grid, topology_of, torus, tube
 
-STEPPED = [coder for coder in CODERS if coder.name in ("trajectory", "shape", "differences")]
+STEPPED = [coder for coder in CODERS if coder.name in ("trajectory", "shape")]
 
 
 def mesh_of(sequence: MeshSequence) -> Topology:
@@ -81,8 +81,6 @@ def test_all_components_are_the_sequence(space: Space) -> None:
 @pytest.mark.parametrize("coder", STEPPED, ids=lambda coder: coder.name)
 @pytest.mark.parametrize("name", ["bar", "folding sheet", "several components", "unused vertices"])
 def test_what_is_decoded_has_the_error_of_its_step(coder: Coder, name: str) -> None:
-    if not is_installed(coder.package):
-        pytest.skip("not installed")
     sequence = SEQUENCES[name]()
     found = []
     for kg in (1.0, 0.01):

@@ -2,7 +2,7 @@
 
 The original numbering takes more bytes than the connectivity, and twenty times more if it is random. So a compressed
 file may replace the order of polygons, or of both polygons and vertices, by the walk of
-`mixseq.compression.bitstream.connectivity`. The walk is a function of the mesh, so it is not stored. An original with
+`mixseq.compression.bitstream.corners`. The walk is a function of the mesh, so it is not stored. An original with
 all its attributes can be renumbered by the same walk.
 
 Windings and triangulations are kept: a triangle may begin at any corner, a quad at its first or third corner, and
@@ -21,7 +21,8 @@ from typing import overload
 import numpy as np
 
 from mixseq.choices import ORDERS, OrderName
-from mixseq.compression.bitstream.connectivity import encode_polygons, walk_polygons
+from mixseq.compression.bitstream.connectivity import encode_polygons
+from mixseq.compression.bitstream.corners import walk_polygons
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.polygons import Polygons, canonical_order, match_polygons, match_triangles
 from mixseq.mesh.surface import FaceSet, Surface, renumber_by_first_use

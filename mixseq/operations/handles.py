@@ -31,10 +31,9 @@ from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.operations.pose_solvers import HandleSolver, PoseChange, PoseSolver, StillSolver
 from mixseq.operations.sculpt import add_key_shape, weight_sites
 from mixseq.operations.sections import (
+    KeyWeights,
     breakpoints,
-    fade_window,
     interpolate_adaptively,
-    model_sites,
     placement_norm,
     shape_norm,
     snap_time,
@@ -211,7 +210,7 @@ def pose(
             raise SettingsError("the model is a still, with no motion to fade into; leave out start, end and fade")
         stills = [StillSolver(model, key.rows, softness, key.is_free) for key in keys.values()]
         return _pose_still(model, keys, stills, exact)
-    weights = _KeyWeights.from_times(model, np.array(list(keys)), start, end, fade)
+    weights = _key_weights(model, np.array(list(keys)), start, end, fade)
     solvers = [PoseSolver(model, key.rows, softness, key.is_free) for key in keys.values()]
     changes = [solver.solve(time, key.targets) for solver, (time, key) in zip(solvers, keys.items(), strict=True)]
     posed = _fade_changes(model, weights, solvers, changes, kept)
@@ -220,7 +219,8 @@ def pose(
         edited = _reach(solvers[number], time, points, key.targets, exact)
         if exact:
             difference = posed.space.shape_difference(posed.curve([time])[0], points, edited)
-            posed = add_key_shape(posed, difference, weights.curve(posed, number))
+            sites = weight_sites(posed, np.concatenate([breakpoints(posed.time), weights.knots]))
+            posed = add_key_shape(posed, difference, Curve(sites, weights.at(sites)[:, [number]]))
     return posed
 
 
@@ -315,56 +315,21 @@ def _key_time(model: Model, time: float) -> float:
     return float(time)
 
 
-class _KeyWeights(NamedTuple):
-    """Weights of the changes at K times: 1 at their own time and 0 at the others, C2."""
-
-    times: Float  # (K,)
-    start: float  # start and end of the full change
-    end: float
-    fade: float
-    model: Model
-
-    @classmethod
-    def from_times(
-        cls, model: Model, times: Float, start: float | None, end: float | None, fade: float | None
-    ) -> _KeyWeights:
-        """Check the interval of the full change, which covers the times ``(K,)``."""
-        first = times[0] if start is None else snap_time(model, start, "start")
-        last = times[-1] if end is None else snap_time(model, end, "end")
-        if not (first <= times[0] and times[-1] <= last):
-            raise SettingsError(
-                f"handles are at {times[0]:g} to {times[-1]:g} s, outside the interval from {first:g} to {last:g} s; "
-                "give a start before them and an end after them"
-            )
-        return cls(times, first, last, check_reach(model, fade, "fade"), model)
-
-    def ramps(self, number: int) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-        """Return the rise and the fall of a weight; None at the ends of the model."""
-        times = self.times
-        rise = (times[number - 1], times[number]) if number else (self.start - self.fade, self.start)
-        is_last = number == len(times) - 1
-        fall = (self.end, self.end + self.fade) if is_last else (times[number], times[number + 1])
-        return None if rise[1] <= self.model.start else rise, None if fall[0] >= self.model.end else fall
-
-    def at(self, times: Float) -> Float:
-        """Return the weights ``(N, K)`` at times ``(N,)``."""
-        return np.stack([fade_window(times, *self.ramps(number)) for number in range(len(self.times))], axis=1)
-
-    @property
-    def knots(self) -> Float:
-        """Knots ``(n,)`` of all weights, and the times of the handles."""
-        ramps = (ramp for number in range(len(self.times)) for ramp in self.ramps(number) if ramp is not None)
-        return np.concatenate([self.times, *(np.linspace(*ramp, 4) for ramp in ramps)])
-
-    def curve(self, model: Model, number: int) -> Curve:
-        """Return a weight as a curve, whose sites include those of the time signal."""
-        sites = weight_sites(model, np.concatenate([breakpoints(model.time), self.knots]))
-        return Curve(sites, self.at(sites)[:, [number]])
+def _key_weights(model: Model, times: Float, start: float | None, end: float | None, fade: float | None) -> KeyWeights:
+    """Return the weights of changes at times ``(K,)``; check the interval of the full change, which covers them."""
+    first = times[0] if start is None else snap_time(model, start, "start")
+    last = times[-1] if end is None else snap_time(model, end, "end")
+    if not (first <= times[0] and times[-1] <= last):
+        raise SettingsError(
+            f"handles are at {times[0]:g} to {times[-1]:g} s, outside the interval from {first:g} to {last:g} s; "
+            "give a start before them and an end after them"
+        )
+    return KeyWeights(times, first, last, check_reach(model, fade, "fade"), model)
 
 
 def _fade_changes(
     model: Model,
-    weights: _KeyWeights,
+    weights: KeyWeights,
     solvers: Sequence[PoseSolver],
     changes: Sequence[PoseChange],
     kept: Sequence[sparse.csr_array],
@@ -392,8 +357,7 @@ def _fade_changes(
         return np.maximum(pose_norm(steps[:, :dim]), body_norm(steps[:, dim:]))
 
     pose_norm, body_norm = shape_norm(model), placement_norm(model)
-    first, last = max(weights.start - weights.fade, model.start), min(weights.end + weights.fade, model.end)
-    sites = model_sites(model, first, last, weights.knots)
+    sites = weights.sites
     for time in weights.times:
         sites[np.abs(sites - time).argmin()] = time  # restores the exact time if it was merged with a knot
     curve = interpolate_adaptively(signal, sites, SIGNAL_TOLERANCE, norm)

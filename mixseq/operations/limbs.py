@@ -45,10 +45,10 @@ from mixseq.mesh.rotations import (
 )
 from mixseq.operations.filters import check_gain
 from mixseq.operations.sections import (
+    KeyWeights,
     add_key_shapes,
     blend_key_poses,
     correction_norm,
-    fade_window,
     interpolate_adaptively,
     model_sites,
     shape_norm,
@@ -257,22 +257,16 @@ def hold(
     if not (np.isfinite(fade) and fade > 0):
         raise SettingsError(f"fade is {fade}; a positive number of seconds is expected")
 
-    def weight(times: Float) -> Float:
-        rise = (start - fade, start) if start > model.start else None
-        fall = (end, end + fade) if end < model.end else None
-        return fade_window(times, rise, fall)[:, None]
-
-    first, last = max(start - fade, model.start), min(end + fade, model.end)
-    knots = np.concatenate([np.linspace(start - fade, start, 4), np.linspace(end, end + fade, 4)])
-    sites = model_sites(model, first, last, knots)
+    weights = KeyWeights(np.array([start]), start, end, fade, model)
+    sites = weights.sites
     held = limb.joint_pose(model, np.array([time]))
-    correction = _edit_joint(model, limb, sites, lambda times, pose: pose + weight(times) * (held - pose))
+    correction = _edit_joint(model, limb, sites, lambda times, pose: pose + weights.at(times) * (held - pose))
     extended, to_limb_modes = _add_limb_modes(model, limb)
     held_point = model.time([time])
 
     def held_signal(times: Float) -> Float:
         points = model.time(times)
-        return np.concatenate([points, weight(times) * to_limb_modes(held_point - points)], axis=1)
+        return np.concatenate([points, weights.at(times) * to_limb_modes(held_point - points)], axis=1)
 
     signal = interpolate_adaptively(held_signal, sites, SIGNAL_TOLERANCE, shape_norm(extended))
     return extended.edited(

@@ -182,6 +182,40 @@ def smoothstep(times: Float, start: float, end: float) -> Float:
     return np.asarray(cubics / 6.0)
 
 
+class KeyWeights(NamedTuple):
+    """Weights of the changes of a model at K times: 1 at their own time and 0 at the others, C2."""
+
+    times: Float  # (K,)
+    start: float  # start and end of the full change
+    end: float
+    fade: float
+    model: Model
+
+    def ramps(self, number: int) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+        """Return the rise and the fall of a weight; None at the ends of the model."""
+        times = self.times
+        rise = (times[number - 1], times[number]) if number else (self.start - self.fade, self.start)
+        is_last = number == len(times) - 1
+        fall = (self.end, self.end + self.fade) if is_last else (times[number], times[number + 1])
+        return None if rise[1] <= self.model.start else rise, None if fall[0] >= self.model.end else fall
+
+    def at(self, times: Float) -> Float:
+        """Return the weights ``(N, K)`` at times ``(N,)``."""
+        return np.stack([fade_window(times, *self.ramps(number)) for number in range(len(self.times))], axis=1)
+
+    @property
+    def knots(self) -> Float:
+        """Knots ``(n,)`` of all weights, and their times."""
+        ramps = (ramp for number in range(len(self.times)) for ramp in self.ramps(number) if ramp is not None)
+        return np.concatenate([self.times, *(np.linspace(*ramp, 4) for ramp in ramps)])
+
+    @property
+    def sites(self) -> Float:
+        """Sites ``(m,)`` of signals of the model where a weight is not zero."""
+        first, last = max(self.start - self.fade, self.model.start), min(self.end + self.fade, self.model.end)
+        return model_sites(self.model, first, last, self.knots)
+
+
 def shape_norm(model: Model, metric: Float | None = None) -> DeviationNorm:
     """Return the norm of pose-space steps ``(N, k)``, an RMS in diagonals with shape coordinate weights ``(S,)``."""
     metric = model.space.shape_weights if metric is None else metric

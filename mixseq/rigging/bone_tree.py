@@ -39,6 +39,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -102,22 +103,15 @@ def fit_motions(
     if not np.isfinite(residual).all():
         raise np.linalg.LinAlgError("positions with an entry that is not finite have no motion")
     fitted_joints = replace(joints, pivots=joints.pivots.copy())
-    subtree_products = products[3::4].copy()  # (B, 4B), H_b K; an entry is zero where no vertex is shared
+    subtree_products = products[3::4].copy()
     for bone in range(len(motions) - 1, 0, -1):
         if joints.parents[bone] >= 0:
             subtree_products[joints.parents[bone]] += subtree_products[bone]
-    _descend(
-        products,
-        subtree_products,
-        joints.parents,
-        joints.branches,
-        joints.sliding,
-        fitted_joints.pivots,
-        fitted,
-        residual.reshape(fitted.shape),
-        fit_pivots and not joints.sliding.all(),
-        0.0 if fit_pivots else _PARENT_STIFFNESS,
-    )
+    graph = joints.parents, joints.branches, joints.sliding, fitted_joints.pivots
+    shapes = (count := len(motions), 3), (count, 4 * count, 3), (count, 3, 3)
+    tree = _Tree(products, subtree_products, *graph, *map(np.zeros, shapes))
+    stiffness = 0.0 if fit_pivots else _PARENT_STIFFNESS
+    _descend(tree, fitted, residual.reshape(fitted.shape), fit_pivots and not joints.sliding.all(), stiffness)
     return attach_joints(_follow_parents(fitted, joints, idle_bones), fitted_joints), fitted_joints
 
 
@@ -141,49 +135,48 @@ def _find_branches(parents: Index) -> Index:
     return branches
 
 
+class _Tree(NamedTuple):
+    """Sums over the vertices of bones, and a tree of these."""
+
+    products: Float  # (4B, 4B), K
+    subtree_products: Float  # (B, 4B), H_b K; an entry is zero where no vertex is shared
+    parents: Index  # (B,)
+    branches: Index  # (B, B)
+    sliding: Mask  # (B,)
+    pivots: Float  # (B, 3), which may be fitted
+    origins: Float  # (B, 3) points about which bones rotate; these and the following follow from the pivots
+    levers: Float  # (B, 4B, 3) products of K and the levers
+    moments: Float  # (B, 3, 3) moments of the levers
+
+
 @compiled
-def _descend(
-    products: Float,
-    subtree_products: Float,
-    parents: Index,
-    branches: Index,
-    sliding: Mask,
-    pivots: Float,
-    motions: Float,
-    residual: Float,
-    fit_pivots: bool,
-    parent_stiffness: float,
-) -> None:
-    """Fit pivots ``(B, 3)`` and motions ``(B, 4, 3T)`` in place by coordinate descent; the residual E is updated."""
-    bone_count, columns = len(parents), motions.shape[2]
-    origins, moments = np.empty((bone_count, 3)), np.empty((bone_count, 3, 3))
-    levers, changes = np.zeros((bone_count, 4 * bone_count, 3)), np.empty((3, columns))
+def _descend(tree: _Tree, motions: Float, residual: Float, fit_pivots: bool, parent_stiffness: float) -> None:
+    """Fit pivots and motions ``(B, 4, 3T)`` in place by coordinate descent; the residual E is updated."""
+    bone_count, columns = len(tree.parents), motions.shape[2]
+    changes = np.empty((3, columns))
     for sweep in range(SWEEPS_PER_ROUND):
         for bone in range(bone_count):
             if sweep == 0 or fit_pivots:
-                _fill_lever(bone, products, subtree_products, branches, sliding, pivots, origins, levers, moments)
+                _fill_lever(tree, bone)
         for start in range(0, columns, 3 * _FRAMES_PER_BLOCK):
             width = min(3 * _FRAMES_PER_BLOCK, columns - start)
             block_motions, block_residual = np.empty((bone_count, 4, width)), np.empty((bone_count, 4, width))
             _copy_columns(motions, start, block_motions, 0, width)
             _copy_columns(residual, start, block_residual, 0, width)
             for bone in range(bone_count):
-                _fit_rotations(
-                    bone, subtree_products, parents, branches, pivots, origins, levers, moments, parent_stiffness,
-                    block_motions, block_residual, changes,
-                )  # fmt: skip
-                if sliding[bone]:
-                    weight = _sum_subtree(bone, subtree_products, branches, block_residual, changes)
+                _fit_rotations(tree, bone, parent_stiffness, block_motions, block_residual, changes)
+                if tree.sliding[bone]:
+                    weight = _sum_subtree(tree, bone, block_residual, changes)
                     if weight > _ROTATION_STIFFNESS:
                         for i in range(width):
                             changes[0, i] /= weight
-                        _translate_subtree(bone, subtree_products, branches, block_motions, block_residual, changes)
+                        _translate_subtree(tree, bone, block_motions, block_residual, changes)
             _copy_columns(block_motions, 0, motions, start, width)
             _copy_columns(block_residual, 0, residual, start, width)
         if fit_pivots:
             for bone in range(bone_count):
-                if not sliding[bone]:
-                    _fit_joint(bone, subtree_products, parents, branches, pivots, motions, residual, changes)
+                if not tree.sliding[bone]:
+                    _fit_joint(tree, bone, motions, residual, changes)
 
 
 @compiled
@@ -196,26 +189,17 @@ def _copy_columns(source: Float, source_start: int, target: Float, target_start:
 
 
 @compiled
-def _fill_lever(
-    bone: int,
-    products: Float,
-    subtree_products: Float,
-    branches: Index,
-    sliding: Mask,
-    pivots: Float,
-    origins: Float,
-    levers: Float,
-    moments: Float,
-) -> None:
+def _fill_lever(tree: _Tree, bone: int) -> None:
     """Compute the point about which a bone rotates, the product ``(4B, 3)`` of K and its lever, and its moments."""
-    bone_count, own = len(pivots), 4 * bone
+    products, subtree_products, branches, pivots = tree.products, tree.subtree_products, tree.branches, tree.pivots
+    origins, levers, bone_count, own = tree.origins, tree.levers, len(tree.pivots), 4 * bone
     weight = 0.0
     for other in range(bone, bone_count):
         if branches[bone, other] >= 0:
             weight += subtree_products[bone, 4 * other + 3]
     for axis in range(3):
         origin = pivots[bone, axis]
-        if sliding[bone]:
+        if tree.sliding[bone]:
             centre = subtree_products[bone, own + axis] - origin * subtree_products[bone, own + 3]
             for other in range(bone + 1, bone_count):
                 if branches[bone, other] >= 0:
@@ -241,25 +225,16 @@ def _fill_lever(
                 if branches[bone, other] >= 0:
                     offset = pivots[branches[bone, other], axis] - origins[bone, axis]
                     moment += offset * levers[bone, 4 * other + 3, i]
-            moments[bone, axis, i] = moment
+            tree.moments[bone, axis, i] = moment
 
 
 @compiled
 def _fit_rotations(
-    bone: int,
-    subtree_products: Float,
-    parents: Index,
-    branches: Index,
-    pivots: Float,
-    origins: Float,
-    levers: Float,
-    moments: Float,
-    parent_stiffness: float,
-    motions: Float,
-    residual: Float,
-    changes: Float,
+    tree: _Tree, bone: int, parent_stiffness: float, motions: Float, residual: Float, changes: Float
 ) -> None:
     """Fit the rotations of a bone, which move the bone and its subtree."""
+    parents, branches, pivots, origins = tree.parents, tree.branches, tree.pivots, tree.origins
+    subtree_products, levers, moments = tree.subtree_products, tree.levers, tree.moments
     moment = moments[bone, 0, 0] + moments[bone, 1, 1] + moments[bone, 2, 2]
     if moment <= _ROTATION_STIFFNESS**2:
         return
@@ -299,29 +274,17 @@ def _fit_rotations(
     for other in range(len(parents)):
         if subtree_products[bone, 4 * other + 3] != 0.0:
             for row in range(4):
-                x, y, z = (
-                    levers[bone, 4 * other + row, 0],
-                    levers[bone, 4 * other + row, 1],
-                    levers[bone, 4 * other + row, 2],
-                )
+                lever = levers[bone, 4 * other + row]
+                x, y, z = lever[0], lever[1], lever[2]
                 for i in range(residual.shape[2]):
                     residual[other, row, i] -= x * changes[0, i] + y * changes[1, i] + z * changes[2, i]
 
 
 @compiled
-def _fit_joint(
-    bone: int,
-    subtree_products: Float,
-    parents: Index,
-    branches: Index,
-    pivots: Float,
-    motions: Float,
-    residual: Float,
-    changes: Float,
-) -> None:
+def _fit_joint(tree: _Tree, bone: int, motions: Float, residual: Float, changes: Float) -> None:
     """Fit the position of a joint; a shift of the joint moves the subtree of its bone."""
-    columns, parent = motions.shape[2], parents[bone]
-    weight = _sum_subtree(bone, subtree_products, branches, residual, changes)
+    columns, parent = motions.shape[2], tree.parents[bone]
+    weight = _sum_subtree(tree, bone, residual, changes)
     if weight <= _ROTATION_STIFFNESS:
         return
     normal, step = np.zeros((3, 3)), np.zeros(3)
@@ -334,38 +297,32 @@ def _fit_joint(
         normal[axis, axis] += weight * _JOINT_STIFFNESS * (columns // 3)
     cholesky_solve(normal, step, 3)
     for axis in range(3):
-        pivots[bone, axis] += step[axis]
+        tree.pivots[bone, axis] += step[axis]
     for i in range(columns):
         changes[0, i] = 0.0
         for axis in range(3):
             changes[0, i] += step[axis] * (motions[parent, axis, i] - motions[bone, axis, i])
-    _translate_subtree(bone, subtree_products, branches, motions, residual, changes)
+    _translate_subtree(tree, bone, motions, residual, changes)
 
 
 @compiled
-def _sum_subtree(bone: int, subtree_products: Float, branches: Index, residual: Float, changes: Float) -> float:
+def _sum_subtree(tree: _Tree, bone: int, residual: Float, changes: Float) -> float:
     """Sum the residual over the subtree of a bone into the first row of `changes`; return the sum of h_v^2."""
-    weight = 0.0
+    branches, weight = tree.branches, 0.0
     for i in range(residual.shape[2]):
         changes[0, i] = 0.0
     for other in range(bone, len(branches)):
         if branches[bone, other] >= 0:
-            weight += subtree_products[bone, 4 * other + 3]
+            weight += tree.subtree_products[bone, 4 * other + 3]
             for i in range(residual.shape[2]):
                 changes[0, i] += residual[other, 3, i]
     return weight
 
 
 @compiled
-def _translate_subtree(
-    bone: int,
-    subtree_products: Float,
-    branches: Index,
-    motions: Float,
-    residual: Float,
-    changes: Float,
-) -> None:
+def _translate_subtree(tree: _Tree, bone: int, motions: Float, residual: Float, changes: Float) -> None:
     """Translate the subtree of a bone by the first row of `changes`."""
+    subtree_products, branches = tree.subtree_products, tree.branches
     for other in range(len(branches)):
         if branches[bone, other] >= 0:
             for i in range(residual.shape[2]):

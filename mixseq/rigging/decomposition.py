@@ -32,27 +32,15 @@ from mixseq.errors import InvalidSequenceError, SegmentationError, SettingsError
 from mixseq.mesh.polygons import label_vertices
 from mixseq.mesh.topology import Topology
 from mixseq.rigging.bone_tree import Joints, attach_joints, build_bone_tree, fit_motions
-from mixseq.rigging.bones import (
-    Binding,
-    Centred,
-    bind,
-    fit_rigid_motion,
-    merge_bones,
-    project_to_rotations,
-    seed_bones,
-)
+from mixseq.rigging.bones import Binding, Centred, bind, fit_rigid_motion, merge_bones, project_to_rotations, seed_bones
 from mixseq.rigging.rigs import BONES_PER_VERTEX, Skeleton, Skin
 from mixseq.runtime.progress import Progress
 from mixseq.segmentation.methods import segment
 from mixseq.sequence.sequence import MeshSequence, UnitConversion, bounding_diagonal
 from mixseq.types import Float, Index
 
-MIN_RELATIVE_GAIN = 3e-3
-"""Smallest mean decrease of the error by a round, relative to the error; constants here were chosen empirically."""
-
-MAX_TREE_ERROR_RATIO = 1.1
-"""Largest root mean square error of bones in a tree, relative to the error of free bones."""
-
+MIN_RELATIVE_GAIN = 3e-3  # smallest mean relative decrease of the error by a round; chosen empirically, as all here
+MAX_TREE_ERROR_RATIO = 1.1  # largest root mean square error of bones in a tree, relative to the error of free bones
 _GAIN_ROUNDS = 3  # number of rounds over which the decrease of the error is averaged
 _ROUNDING_ERROR = 1e-9  # root mean square error that counts as rounding, in diagonals
 _NO_SLIDING_ERROR = 1e-6  # root mean square error that is always accepted without sliding joints, in diagonals
@@ -171,8 +159,7 @@ def _order_by_separation(binding: Binding, motions: Float, joints: Joints) -> In
     return np.asarray(bones[np.argsort(-costs, kind="stable")])
 
 
-ROUGH_FIT_ROUNDS = 4
-"""Number of rounds of a rough fit, which takes a twentieth of the time of a full fit."""
+ROUGH_FIT_ROUNDS = 4  # number of rounds of a rough fit, which takes a twentieth of the time of a full fit
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,13 +33,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.rigging.bones import Centred
-from mixseq.rigging.decomposition import (
-    ROUGH_FIT_ROUNDS,
-    FreeBones,
-    fit_free_bones,
-    fit_to_skeleton,
-    fit_tree_skin,
-)
+from mixseq.rigging.decomposition import ROUGH_FIT_ROUNDS, FreeBones, fit_free_bones, fit_to_skeleton, fit_tree_skin
 from mixseq.rigging.rigs import BONES_PER_VERTEX, Morph, Skeleton, Skin, rotation_matrices
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, log_progress
@@ -128,8 +122,7 @@ def _prevent_collapse(skin: Skin, rotations: Float) -> Float:
     return np.where(determinants[:, None] < _MIN_ROTATION_DETERMINANT, single, skin.weights)
 
 
-MAX_BONES = 128
-"""Largest number of bones in a search for an error; constants of this module were chosen empirically."""
+MAX_BONES = 128  # largest number of bones in a search for an error; constants of this module were chosen empirically
 
 _FIRST_BONE_COUNT = 8
 _COUNT_PRECISION_DIVISOR = 10  # ratio of the number of bones to its tolerance

@@ -40,8 +40,7 @@ from mixseq.types import Float, FloatArray, Index
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-BONES_PER_VERTEX = 4
-"""Number of skinning weights of a vertex, as in engines and in the core of glTF 2.0."""
+BONES_PER_VERTEX = 4  # number of skinning weights of a vertex, as in engines and in the core of glTF 2.0
 
 _UNIT_TOLERANCE = 1e-6  # tolerated deviation from one of sums of weights and lengths of quaternions
 _TIME_TOLERANCE_FRAMES = 1e-3  # tolerated time before the first and after the last frame, in frames

@@ -213,8 +213,13 @@ CONNECT_TIMEOUT_SECONDS = 10.0
 @contextmanager
 def connect_to_cluster(address: str) -> Iterator[ClusterExecutor | ProcessPool]:
     """Connect to a cluster, or start processes of this machine, for the duration of the block."""
-    if process_count := _local_process_count(address):
-        with process_pool(process_count) as pool:
+    if address.partition(":")[0] == "local":
+        match = re.fullmatch(r"local:([1-9]\d{0,3})", address)
+        if not match:
+            raise SettingsError(
+                f"{address!r} is no cluster; give local:N for N processes on this machine, or tcp://host:8786"
+            )
+        with process_pool(int(match[1])) as pool:
             yield pool
         return
     distributed = dask_module("distributed")  # imported first, as the import sets the configuration changed below
@@ -225,18 +230,6 @@ def connect_to_cluster(address: str) -> Iterator[ClusterExecutor | ProcessPool]:
         with distributed.Client(address, set_as_default=False) as client:
             _check_workers(client, address)
             yield ClusterExecutor(client)
-
-
-def _local_process_count(address: str) -> int:
-    """Return N of ``local:N``, 0 for other addresses."""
-    if address.partition(":")[0] != "local":
-        return 0
-    match = re.fullmatch(r"local:([1-9]\d{0,3})", address)
-    if not match:
-        raise SettingsError(
-            f"{address!r} is no cluster; give local:N for N processes on this machine, or tcp://host:8786"
-        )
-    return int(match[1])
 
 
 def _check_scheduler(address: str) -> None:

@@ -4,8 +4,6 @@ All frame-wise work goes through an *executor*, which applies a function to a sh
 (blocks of frames). An executor uses the caller's thread, several threads or the workers of a cluster, with equal
 results. So linear algebra is limited to one thread (`one_blas_thread`): splitting a matrix product over threads changes
 the order of sums and thus the last bits. Small products, which dominate here, would also be slower.
-
-A `WorkQueue` runs sequential work, such as writing a stream of bits, beside other work.
 """
 
 from __future__ import annotations
@@ -61,8 +59,6 @@ def _blas_controller(module_count: int) -> Any:
 
     return ThreadpoolController()
 
-
-_MAX_QUEUED_TASKS = 4  # waiting tasks of a `WorkQueue`, to bound memory
 
 Shared = TypeVar("Shared")
 Item = TypeVar("Item")
@@ -121,29 +117,6 @@ def thread_executor(count: int | None = None) -> Executor:
 def two_thread_executor() -> Executor:
     """Return an executor on at most two threads, for items that need memory in proportion to all data."""
     return thread_executor(min(2, thread_count()))
-
-
-class WorkQueue:
-    """A queue that runs tasks in order on one thread, or in the caller's thread if `thread_count()` is 1."""
-
-    def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(1) if thread_count() > 1 else None
-        self._pending: deque[Future[None]] = deque()
-
-    def submit(self, task: Callable[[], None], large: bool = True) -> None:
-        """Run a task after all earlier tasks; if the task is not `large`, run it in the caller's thread."""
-        if self._pool is None or not large:
-            self.wait()
-            task()
-            return
-        if len(self._pending) >= _MAX_QUEUED_TASKS:
-            self._pending.popleft().result()
-        self._pending.append(self._pool.submit(task))
-
-    def wait(self) -> None:
-        """Wait for all tasks; an error of a task is raised here or by a later `submit`."""
-        while self._pending:
-            self._pending.popleft().result()
 
 
 def _check_process(process_id: int) -> None:

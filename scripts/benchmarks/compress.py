@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 import mixseq
 from mixseq.creature import walk_cycle
 from scripts.benchmarks.common.harness import animation, markdown_table, repeated
-from scripts.benchmarks.peers.coders import ERROR_TARGETS, KG_TARGETS, Coder, Differences, Draco, Ours
+from scripts.benchmarks.peers.coders import ERROR_TARGETS, KG_TARGETS, Coder, Draco, Ours
 from scripts.benchmarks.peers.pca import Pca
 
 NAMES = (
@@ -31,7 +31,7 @@ NAMES = (
     "robotexpressive_dance", "q_horse_eating", "abc_dembones_bone", "horse_gallop x10", "q_wolf_gallop x10",
 )  # fmt: skip
 
-CODERS: tuple[Coder, ...] = (Ours(), Pca("trajectory"), Pca("shape"), Draco(), Differences())
+CODERS: tuple[Coder, ...] = (Ours(), Pca("trajectory"), Pca("shape"), Draco())
 OURS, PEER = "ours", "trajectory"
 
 Measure = Literal["kg_percent", "max_error"]

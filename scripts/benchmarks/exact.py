@@ -19,11 +19,7 @@ from contextlib import contextmanager
 import numpy as np
 
 import mixseq
-from mixseq.compression.bitstream.compressed_sequence import (
-    CompressedSequence,
-    decode_basis,
-    decode_coefficients,
-)
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode_basis, decode_coefficients
 from mixseq.compression.bitstream.predictor import Predictor
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.creature import walk_cycle

@@ -127,9 +127,7 @@ def sheet(frames: int) -> SequenceHeader:
     corner = np.arange(SIDE**2).reshape(SIDE, SIDE)[:-1, :-1].reshape(-1, 1)
     quads = corner + np.array([0, 1, SIDE + 1, SIDE])
     return SequenceHeader(
-        polygons=Polygons(np.full(len(quads), 4), quads.reshape(-1)),
-        vertex_count=SIDE**2,
-        times=np.arange(frames) / 24,
+        polygons=Polygons(np.full(len(quads), 4), quads.reshape(-1)), vertex_count=SIDE**2, times=np.arange(frames) / 24
     )
 
 

@@ -1,7 +1,8 @@
 """Peak memory of jobs on the command line against an aim, and growth of their CPU time.
 
-The aim is `BASE_MEGABYTES`, and `INPUT_RATIO` times points and triangles in single precision. ``torus-SIDE`` is the
-torus of `scale` with SIDE^2 vertices in three frames, ``tube-FRAMES-VERTICES`` a tube that bends and swells.
+The aim is `BASE_MEGABYTES`, and `INPUT_RATIO` times points and triangles in single precision. ``torus-SIDE`` is a
+torus with SIDE^2 vertices in three frames, whose thickness goes in waves, ``tube-FRAMES-VERTICES`` a tube that bends
+and swells.
 
 Usage: scripts/bench memory [SOURCE ...]   (needs no data)
 """
@@ -17,7 +18,6 @@ import numpy as np
 
 from mixseq.types import FloatArray, Index
 from scripts.benchmarks.common.harness import MIXSEQ, print_table, run
-from scripts.benchmarks.scale import torus
 
 SOURCES = (
     *("torus-250", "torus-500", "torus-1000", "tube-1-2000000"),
@@ -29,6 +29,8 @@ JOBS = {
     "encode": ("encode", "a.npz", "model.h5"),
     "encode --max-error 0.001": ("encode", "a.npz", "small.h5", "--max-error", "0.001"),
     "compare": ("compare", "a.npz", "b.npz"),
+    "verify": ("verify", "small.h5", "a.npz"),
+    "convert to GLB": ("convert", "a.npz", "a.glb"),
 }
 
 INPUT_RATIO, BASE_MEGABYTES = 6, 400
@@ -46,7 +48,7 @@ def rows(source: str) -> Iterator[tuple[str, ...]]:
         frames, vertices, faces = map(int, written)
         aim = INPUT_RATIO * 12e-6 * (frames * vertices + faces) + BASE_MEGABYTES
         for job, words in JOBS.items():
-            local = [str(Path(folder, word)) if word.endswith((".npz", ".h5")) else word for word in words]
+            local = [str(Path(folder, word)) if word.endswith((".npz", ".h5", ".glb")) else word for word in words]
             child = run(*MIXSEQ, *local)
             yield source, str(vertices), str(frames), job, f"{child.cpu:.1f}", f"{child.megabytes:.0f}", f"{aim:.0f}"
 
@@ -60,6 +62,23 @@ def write(source: str, folder: str) -> None:
         frame += NOISE_AMPLITUDE * noise.standard_normal(frame.shape, dtype=np.float32)
     np.savez(Path(folder, "b.npz"), points=points, faces=faces)
     print(*points.shape[:2], len(faces))
+
+
+def torus(side: int) -> tuple[FloatArray, Index]:
+    """Bend a torus of ``side * side`` vertices, and let waves run over it."""
+    u, v = np.meshgrid(*[2 * np.pi * np.arange(side) / side] * 2, indexing="ij")
+    frames = []
+    for frame in range(3):
+        thickness = 0.3 + 0.02 * np.sin(5 * v + 2 * u + frame)
+        turn, radius = u + 0.1 * frame * np.sin(u), 1 + thickness * np.cos(v)
+        height = thickness * np.sin(v) + 0.1 * frame * np.cos(2 * u)
+        frames.append(np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=-1).reshape(-1, 3))
+    i, j = (each.reshape(-1) for each in np.indices((side, side)))
+    after, beside = (i + 1) % side, (j + 1) % side
+    a, b = i * side + j, after * side + j
+    c, d = after * side + beside, i * side + beside
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return np.array(frames, dtype=np.float32), faces.astype(np.int32)
 
 
 def tube(frames: int, vertices: int) -> tuple[FloatArray, Index]:

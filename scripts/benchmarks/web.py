@@ -5,7 +5,6 @@ Usage: scripts/bench web [SECTION ...] [--names NAME ...]   (animations of $MIXS
 Sections, all of them by default:
 
 decoding   what JavaScript takes to decode, beside Python
-frames     how many frames a second a browser makes
 sizes      bytes of GLB files, beside morph targets, gltfpack, Draco and pages
 """
 
@@ -15,23 +14,22 @@ import sys
 from collections.abc import Sequence
 
 from scripts.benchmarks.common.harness import Rows, markdown_table
-from scripts.benchmarks.webs import decoding, frames, sizes
+from scripts.benchmarks.webs import decoding, sizes
 
 NAMES = ("q_man_run", "horse_gallop", "elephant_gallop", "abc_dembones_bone")
 
-SECTIONS: dict[str, tuple[Sequence[str], Sequence[str], Rows]] = {
-    "decoding": (NAMES, decoding.COLUMNS, decoding.rows),
-    "frames": (frames.NAMES, frames.COLUMNS, frames.rows),
-    "sizes": (NAMES, sizes.COLUMNS, sizes.rows),
+SECTIONS: dict[str, tuple[Sequence[str], Rows]] = {
+    "decoding": (decoding.COLUMNS, decoding.rows),
+    "sizes": (sizes.COLUMNS, sizes.rows),
 }
-"""Animations, columns and rows of every section."""
+"""Columns and rows of every section."""
 
 
 def main() -> int:
     wanted, _, names = " ".join(sys.argv[1:]).partition("--names")
     for section in wanted.split() or SECTIONS:
-        usual, columns, rows = SECTIONS[section]
-        table = [row for name in names.split() or usual for row in rows(name)]
+        columns, rows = SECTIONS[section]
+        table = [row for name in names.split() or NAMES for row in rows(name)]
         print(f"## {section}\n\n{markdown_table(columns, table)}", flush=True)
     return 0
 

@@ -10,12 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixseq.compression.bitstream.compressed_sequence import (
-    Chunk,
-    CodingParameters,
-    CompressedSequence,
-    decode,
-)
+from mixseq.compression.bitstream.compressed_sequence import Chunk, CodingParameters, CompressedSequence, decode
 from mixseq.compression.encoder.compress import compress
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader

@@ -79,7 +79,7 @@ def test_streams_are_the_same_without_a_compiler(here: dict[str, list[int]]) -> 
 
 
 def test_fused_sums_do_not_matter(here: dict[str, list[int]]) -> None:
-    solver = "from mixseq.compression.bitstream.predictor_kernels import solve_weights as solve\n"
+    solver = "from mixseq.compression.bitstream.predictor import solve_weights as solve\n"
     found, *code = run(f"{FUSE}{DECODE}{solver}print(*solve.inspect_asm().values())")
     assert json.loads(found) == here
     assert re.search(FUSED_INSTRUCTIONS, "\n".join(code))

@@ -53,12 +53,7 @@ def rotations_of(motions: Float) -> Float:
 
 
 def test_branches_of_subtrees() -> None:
-    assert tree().branches.tolist() == [
-        [0, 1, 1, 1],
-        [-1, 1, 2, 3],
-        [-1, -1, 2, -1],
-        [-1, -1, -1, 3],
-    ]
+    assert tree().branches.tolist() == [[0, 1, 1, 1], [-1, 1, 2, 3], [-1, -1, 2, -1], [-1, -1, -1, 3]]
 
 
 def test_attached_joints_hold_together_and_rotations_stay() -> None:

@@ -440,10 +440,7 @@ def test_our_own_skins_of_few_bones_are_taken(bones: int) -> None:
 @pytest.mark.realdata
 @pytest.mark.parametrize(
     ("file", "options", "step", "apart"),
-    [
-        ("usd/RiggedFigure.usdz", {}, 1, 0.7),
-        ("gltf/KhronosFox.glb", {"animation": "Survey"}, 4, 0.16),
-    ],
+    [("usd/RiggedFigure.usdz", {}, 1, 0.7), ("gltf/KhronosFox.glb", {"animation": "Survey"}, 4, 0.16)],
 )
 def test_vertices_stay_with_their_own_of_bones_that_hardly_move(
     data: Path, file: str, options: dict[str, Any], step: int, apart: float
@@ -460,10 +457,7 @@ def test_vertices_stay_with_their_own_of_bones_that_hardly_move(
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize(
-    ("file", "kg"),
-    [("gltf/CesiumMan.glb", 0.1), ("usd/RiggedSimple.usdz", 0.01)],
-)
+@pytest.mark.parametrize(("file", "kg"), [("gltf/CesiumMan.glb", 0.1), ("usd/RiggedSimple.usdz", 0.01)])
 def test_characters_move_on_their_own_skeletons(data: Path, file: str, kg: float) -> None:
     sequence = every(6, mixseq.read(data / file))
     skin = fit_skin(sequence, skeleton=data / file, bind_pose=data / file)

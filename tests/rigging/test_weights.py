@@ -10,14 +10,7 @@ from scipy.optimize import nnls
 
 import mixseq
 from mixseq.rigging.bone_tree import Joints, build_bone_tree, fit_motions
-from mixseq.rigging.bones import (
-    Binding,
-    bind,
-    fit_rigid_motion,
-    merge_bones,
-    seed_bones,
-    transpose_motion,
-)
+from mixseq.rigging.bones import Binding, bind, fit_rigid_motion, merge_bones, seed_bones, transpose_motion
 from mixseq.rigging.fitting import fit_skin, principal_shapes
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, Index
@@ -67,10 +60,7 @@ def test_known_weights_are_found() -> None:
     rng = np.random.default_rng(1)
     motions, rest = random_bones(9, 8), rng.normal(size=(50, 3))
     known = Binding(
-        rest,
-        np.stack([rng.permutation(9)[:4] for _ in range(50)]),
-        rng.dirichlet(np.ones(4), size=50),
-        np.zeros(50),
+        rest, np.stack([rng.permutation(9)[:4] for _ in range(50)]), rng.dirichlet(np.ones(4), size=50), np.zeros(50)
     )
     found = bind(shown(motions, known), motions, unbound(rest), free_rest=False)
     np.testing.assert_allclose(found.matrix(9).toarray()[:, 3::4], known.matrix(9).toarray()[:, 3::4], atol=1e-6)

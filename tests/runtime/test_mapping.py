@@ -4,7 +4,6 @@ import os
 import threading
 import time
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ import pytest
 from mixseq.errors import SettingsError
 from mixseq.runtime import parallel as threads
 from mixseq.runtime.parallel import (
-    WorkQueue,
     one_blas_thread,
     serial_executor,
     thread_count,
@@ -118,34 +116,6 @@ def test_what_takes_much_memory_is_done_twice_at_once_at_most(threads: int, monk
 
     assert list(two_thread_executor()(work, 1, range(9))) == list(range(1, 10))
     assert most == min(threads, 2)
-
-
-@pytest.mark.parametrize("threads", ["1", "2", "3"])
-def test_work_in_turn_is_done_in_its_order(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MIXSEQ_THREADS", threads)
-    turns, done = WorkQueue(), list[tuple[int, bool]]()
-    here = threading.current_thread()
-
-    def work(number: int) -> None:
-        time.sleep(0.002 * (number % 3))
-        done.append((number, threading.current_thread() is here))
-
-    for number in range(20):
-        turns.submit(partial(work, number), large=number % 5 != 0)
-        if number % 5 == 0:
-            assert len(done) == number + 1
-    turns.wait()
-    assert [number for number, _ in done] == list(range(20))
-    assert [mine for _, mine in done] == [threads == "1" or number % 5 == 0 for number in range(20)]
-
-
-@pytest.mark.parametrize("threads", ["1", "2"])
-def test_errors_of_work_in_turn_are_raised(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MIXSEQ_THREADS", threads)
-    turns = WorkQueue()
-    with pytest.raises(ZeroDivisionError):
-        turns.submit(lambda: print(1 // 0))
-        turns.wait()
 
 
 @pytest.mark.parametrize("velocities", [False, True])

@@ -16,7 +16,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
     decode,
     decode_basis,
 )
-from mixseq.compression.bitstream.predictor_kernels import UNITS_PER_STEP
+from mixseq.compression.bitstream.predictor import UNITS_PER_STEP
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.encoder.compress import compress
 from mixseq.mesh.measures import FAR_DIAGONALS

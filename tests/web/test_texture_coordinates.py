@@ -10,14 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.compression.bitstream.corner_values import (
-    MAX_COORDINATE,
-    code_uvs,
-    decode_hard_edges,
-    decode_uvs,
-    encode_hard_edges,
-    to_grid,
-)
+from mixseq.compression.bitstream.corner_values import MAX_COORDINATE, code_uvs, decode_uvs, to_grid
+from mixseq.compression.bitstream.corners import decode_hard_edges, encode_hard_edges
 from mixseq.compression.encoder.uvs import encode_uvs
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons

@@ -35,7 +35,8 @@ from mixseq.compression.bitstream.compressed_sequence import (
     TemporalInterpolation,
 )
 from mixseq.compression.bitstream.connectivity import decode_polygons
-from mixseq.compression.bitstream.corner_values import decode_hard_edges, decode_uvs, encode_hard_edges
+from mixseq.compression.bitstream.corner_values import decode_uvs
+from mixseq.compression.bitstream.corners import decode_hard_edges, encode_hard_edges
 from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, FaceLabels
 from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
@@ -281,7 +282,7 @@ def pack_surface(surface: Surface, mesh: Mesh) -> bytes:
     """Pack a surface; return no bytes if it has no attributes.
 
     The result is a JSON list of the arrays' names, types and shapes (with all texts), a zero byte, and the arrays'
-    bytes, compressed by zlib. If possible, `mixseq.compression.bitstream.corner_values` codes the hard edges. Colours
+    bytes, compressed by zlib. If possible, `mixseq.compression.bitstream.corners` codes the hard edges. Colours
     per vertex are stored in the order of the vertices, without indices.
     """
     descriptions: list[list[Any]] = []

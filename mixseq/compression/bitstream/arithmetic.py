@@ -1,31 +1,28 @@
 r"""Code bits by binary arithmetic coding, predict bits with adaptive models, and check decoded numbers.
 
-*Coding.* Encoder and decoder compute the same probability for each bit. An interval of 32-bit numbers is split in the
-ratio of the probabilities of 1 and 0, and the part of the actual bit is kept. Leading bytes that both ends share are
-output. The loss against the ideal size is below a thousandth. Probabilities depend on earlier bits, so the interval is
-split inside compiled loops.
+*Coding.* Encoder and decoder compute the same probability for each bit, from earlier bits. An interval of 32-bit
+numbers is split in the ratio of the probabilities of 1 and 0, and the part of the actual bit is kept.
 
-*Models.* A probability is mixed from several inputs. A bit has a *position* (first question on a number, second, ...)
-and, in every input, a *context*, which is a small integer. In context :math:`c` of input :math:`i`, :math:`n_{ic}` bits
-at this position were 1 with the relative frequency :math:`p_{ic}`. Inputs are mixed in the logistic domain
-(Mahoney 2005, *Adaptive weighing of context models for lossless data compression*),
+*Models.* A bit has a *position* (first question on a number, second, ...) and, in every input, a *context*, which is a
+small integer. In context :math:`c` of input :math:`i`, :math:`n_{ic}` bits at this position were 1 with the relative
+frequency :math:`p_{ic}`. Inputs are mixed in the logistic domain (Mahoney 2005, *Adaptive weighing of context models
+for lossless data compression*),
 
 .. math:: x_i = \frac{n_{ic}}{n_{ic} + 1} \ln \frac{p_{ic}}{1 - p_{ic}}, \qquad x = \sum_i w_i x_i,
           \qquad p = \frac{1}{1 + e^{-x}}
 
-so that a new context contributes nothing. After the bit :math:`b`, frequencies move towards :math:`b`, and weights of
-the position become :math:`w_i \leftarrow w_i + \eta (b - p) x_i`. All values are integers below :math:`2^{49}`:
-:math:`p` and :math:`w` in units of :math:`2^{-16}`, :math:`x` in units of :math:`2^{-8}`.
+After the bit :math:`b`, frequencies move towards :math:`b`, and weights of the position become
+:math:`w_i \leftarrow w_i + \eta (b - p) x_i`. All values are integers below :math:`2^{49}`: :math:`p` and :math:`w` in
+units of :math:`2^{-16}`, :math:`x` in units of :math:`2^{-8}`.
 
 *Hashed contexts* replace tables that would be too large. A bit has a kind and, in every input, a context, which is any
 64-bit number. Contexts share frequencies if the highest 16 bits of their product with a constant are the same.
 
-*Checks.* A stream ends with the CRC-32 of its decoded numbers. Decoding repeats every prediction of the encoder, so
-different rounding, an error in a library or port, or a damaged file changes the decoded numbers. The check raises an
-error in each case.
+*Checks.* A stream ends with the CRC-32 of its decoded numbers. Different rounding, an error in a library or port, or a
+damaged file changes these, and raises an error.
 
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz`` and
-``tests/formats/golden/compressed-v1.h5``).
+Frozen: changing this breaks old files (specified in ``docs/file-format.md``; golden:
+``tests/compression/golden/*.npz``).
 """
 
 from __future__ import annotations
@@ -43,8 +40,7 @@ from numpy.typing import NDArray
 from mixseq.runtime.jit import force_inlined
 from mixseq.types import Index, IntArray
 
-CHECKSUM_SIZE = 4
-"""Bytes of the CRC-32 at the end of a stream, lowest byte first. Frozen: breaks old files."""
+CHECKSUM_SIZE = 4  # bytes of the CRC-32 at the end of a stream, lowest byte first; frozen
 
 
 def checksum_of(numbers: IntArray, initial: int = 0) -> int:
@@ -57,8 +53,7 @@ def append_checksum(data: bytes, checksum: int) -> bytes:
     return data + checksum.to_bytes(CHECKSUM_SIZE, "little")
 
 
-DAMAGE_CURE = "restore the file, or compress the original again"
-"""Cure in messages about damaged streams. Free: wording."""
+DAMAGE_CURE = "restore the file, or compress the original again"  # cure of damaged streams; free: wording
 
 
 def split_checksum(data: bytes) -> tuple[bytes, int]:
@@ -66,17 +61,10 @@ def split_checksum(data: bytes) -> tuple[bytes, int]:
     return data[:-CHECKSUM_SIZE], int.from_bytes(data[-CHECKSUM_SIZE:], "little")
 
 
-PROBABILITY_SCALE = 1 << 16
-"""Integer that represents the probability 1. Frozen: breaks old files."""
-
-EVEN_PROBABILITY = PROBABILITY_SCALE // 2
-"""Probability of bits without a model. Frozen: breaks old files."""
-
-_MAX_INTERVAL_END = (1 << 32) - 1
-"""Largest end of an interval. Frozen: breaks old files."""
-
-PADDING_BYTES = 4
-"""Zero bytes that may be read beyond the end of the stream. Frozen: breaks old files."""
+PROBABILITY_SCALE = 1 << 16  # integer that represents the probability 1; frozen
+EVEN_PROBABILITY = PROBABILITY_SCALE // 2  # probability of bits without a model; frozen
+_MAX_INTERVAL_END = (1 << 32) - 1  # largest end of an interval; frozen
+PADDING_BYTES = 4  # zero bytes that may be read beyond the end of the stream; frozen
 
 
 class BitStream(NamedTuple):
@@ -194,21 +182,13 @@ def _compiled_bit_length(number: int) -> Callable[[int], int]:
     return bit_length
 
 
-_MAX_LOGIT = 2047
-"""Largest magnitude of x, in units of 2^-8: about 8, a probability of 1 in 3000. Frozen: breaks old files."""
-
-_MAX_FREQUENCY_COUNT = 255
-"""Largest count in the running mean of a frequency. Frozen: breaks old files."""
-
-_LEARNING_RATE = 48
-"""Learning rate of weights, in 1 / 4096 of x's and p's units. Frozen: breaks old files."""
-
-_MIN_PROBABILITY = 16
-"""Smallest probability of either bit, in units of 2^-16. Frozen: breaks old files."""
+_MAX_LOGIT = 2047  # largest magnitude of x, in units of 2^-8: about 8, a probability of 1 in 3000; frozen
+_MAX_FREQUENCY_COUNT = 255  # largest count in the running mean of a frequency; frozen
+_LEARNING_RATE = 48  # learning rate of weights, in 1 / 4096 of x's and p's units; frozen
+_MIN_PROBABILITY = 16  # smallest probability of either bit, in units of 2^-16; frozen
 
 
-MAX_BITS_PER_BYTE = 17_000
-"""Upper bound of bits that a byte codes: by `_MAX_LOGIT`, each takes 4.8e-4 bits or more. Free: a check."""
+MAX_BITS_PER_BYTE = 17_000  # upper bound: by `_MAX_LOGIT`, a bit takes 4.8e-4 bits or more; free: a check
 
 
 class BitModels(NamedTuple):
@@ -290,20 +270,14 @@ def code_bit_of_kind(
     return bit, state
 
 
-CONTEXTS_PER_BIT = 8
-"""Number of contexts of a bit. Frozen: breaks old files."""
-
-CONTEXT_SLOTS = 1 << 16
-"""Number of hashed contexts per input. Frozen: breaks old files."""
+CONTEXTS_PER_BIT = 8  # number of contexts of a bit; frozen
+CONTEXT_SLOTS = 1 << 16  # number of hashed contexts per input; frozen
 
 HASH_MULTIPLIER = np.uint64(11400714819323198485)
 """Multiplier of the hash: 2^64 / golden ratio. Unsigned: LLVM assumes no signed overflow. Frozen: breaks old files."""
 
-_HASH_SHIFT = np.uint64(48)
-"""Right shift of a product to its highest 16 bits, the slot. Frozen: breaks old files."""
-
-_MAX_BYTES_PER_BIT = 2
-"""Largest number of bytes per bit, as probabilities are at least 2^-12. Free: memory is allocated ahead."""
+_HASH_SHIFT = np.uint64(48)  # right shift of a product to its highest 16 bits, the slot; frozen
+_MAX_BYTES_PER_BIT = 2  # largest number of bytes per bit, as probabilities are at least 2^-12; free: allocated ahead
 
 
 class HashedBits(NamedTuple):
@@ -324,6 +298,17 @@ def new_hashed_bits(stream: BitStream, kinds: int) -> HashedBits:
 def new_hashed_output(count: int, kinds: int) -> HashedBits:
     """Return untrained models, and an empty stream with room for `count` bits."""
     return new_hashed_bits(new_output_stream(_MAX_BYTES_PER_BIT * count), kinds)
+
+
+def open_hashed_input(data: bytes, kinds: int) -> tuple[HashedBits, int]:
+    """Return untrained models for reading the output of `finish_hashed`, and its checksum."""
+    stream, checksum = split_checksum(data)
+    return new_hashed_bits(new_input_stream(stream), kinds), checksum
+
+
+def finish_hashed(bits: HashedBits, checksum: int) -> bytes:
+    """Return the bytes of written bits, with the checksum of the numbers that they code."""
+    return append_checksum(finish_stream(bits.stream), checksum)
 
 
 def reserve_bits(bits: HashedBits, count: int) -> HashedBits:

@@ -46,14 +46,9 @@ from mixseq.signals.decoding import Decodable
 from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, select_operator
 from mixseq.types import Float, Index
 
-MIN_COVARIANCE_LENGTH, MAX_COVARIANCE_LENGTH = 0.5, 64.0
-"""Range of covariance lengths in files, in mean steps between frames. Frozen: part of the format."""
-
-MAX_CHUNK_FRAMES = 8192
-"""Largest number of frames of a chunk. Frozen: part of the format."""
-
-MAX_INBETWEEN_LEVELS = 3
-"""Largest number of levels of in-betweens, each with twice the knots of the one before. Frozen: part of the format."""
+MIN_COVARIANCE_LENGTH, MAX_COVARIANCE_LENGTH = 0.5, 64.0  # range of lengths, in mean steps between frames; frozen
+MAX_CHUNK_FRAMES = 8192  # largest number of frames of a chunk; frozen
+MAX_INBETWEEN_LEVELS = 3  # largest number of levels of in-betweens, each with twice the knots of the one before; frozen
 
 
 @dataclass(frozen=True)

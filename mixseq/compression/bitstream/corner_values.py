@@ -1,36 +1,46 @@
-"""Code texture coordinates (multiples of 1 / n) and hard edges on the polygons of a mesh, without loss.
+r"""Code texture coordinates (multiples of 1 / n) on the polygons of a mesh, without loss.
 
-Seams are coded first (`mixseq.compression.bitstream.uv_seams`): corners at a vertex with the same coordinates, or the
-same normal, are one *node*. Then the coordinates of nodes are coded, by their differences from guesses. Both are coded
-with hashed contexts (`mixseq.compression.bitstream.arithmetic`). The checksum of the coordinates at all corners, or of
-the numbers of normals, follows. The number k codes the coordinate k / n, computed in float64 and rounded to float32.
-All decisions use integers.
+Seams are coded first (`mixseq.compression.bitstream.corners`): corners at a vertex with the same coordinates are one
+*node*. Then the coordinates of nodes are coded, by their differences from guesses. Both are coded with hashed contexts
+(`mixseq.compression.bitstream.arithmetic`). The checksum of the coordinates at all corners follows. The number k codes
+the coordinate k / n, computed in float64 and rounded to float32. All decisions use integers. A *size* is a number of
+bits in 16ths.
 
-*Coordinates.* Polygons on nodes are visited in their growing order. Corners of a polygon are visited from the first
-known corner with an unknown successor, or else from the first corner. At an unknown corner, the differences of u and v
-from their guesses are coded. A guess is the copy of an image, or comes from adjacent nodes.
+*Guesses.* Corners :math:`a, b` are before and after a corner x in a polygon. The guess is the first possible one of
 
-*Images.* The image of a polygon follows from an adjacent polygon. If none follows, and the polygon has unknown nodes,
-a number codes whether a region begins here: 0 if not, otherwise how many visits ago the image polygon was visited. A
-second number is twice the index, in the image polygon, of the image of the first corner, plus 1 if mirrored. A polygon
-loses its image if a copy from two anchors has an error above 8 that also exceeds the error of the other guess.
+==========  =========================================================================================================
+`AROUND`    the mean of :math:`a + b - z` over all polygons around the node: in a quad, *z* is the corner across; in a
+            triangle, the corner before the half-edge beyond the one from *b* to *a*
+`BEYOND`    the mean of :math:`2 a - e` and :math:`2 b - e`, or the one that exists: *e* is adjacent to *a* (*b*) in the
+            polygon beyond the edge of this polygon that runs into *a* (out of *b*)
+`BESIDE`    the mean of *a* and *b*, or the one that is known
+`ANYWHERE`  the last known node, (0, 0) at the start
+==========  =========================================================================================================
 
-*Drawing back.* Guesses `AROUND` are drawn back if this had the smaller loss up to now. A loss is a sum of error sizes
-that decays by 1/32 at every node with such a guess.
+from known nodes only (parallelograms: Touma and Gotsman 1998, *Triangle mesh compression*). Guesses `AROUND` overshoot
+where the map is uneven. There they are drawn back towards the midpoint of *a* and *b*, if this had the smaller loss up
+to now.
 
-*Numbers.* Bits with models code whether the magnitude has a first bit, a second bit, and so on until it has no more.
-The bits after the highest follow, from high to low, then the sign of differences, all without a model. The code here
-specifies the contexts: bit counts in excess of expected sizes, which come from recent errors, errors of neighbours,
-the length of the edge across, and the spread of guesses (for v, the error of u). A *size* is a bit count in 16ths: 16
-per bit, plus the value of the four bits after the highest.
+*Copies* are translated, rotated, scaled or mirrored: the two halves of a character are usually unwrapped alike, and
+then packed. So a polygon may have an *image*, an earlier polygon with the same number of corners. Where a *region*
+begins, the image of the first corner, and whether the image is mirrored, are coded. Within the region, the image of a
+polygon follows from the image of an adjacent polygon. Let o be the corner before x, after x, or else the first corner
+of the region, whichever first has known coordinates and a known image. With two distant corners :math:`p, q` of the
+region, the copy of x is
 
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``, and the digest in
-``tests/compression/bitstream/test_hard_edges.py``).
+.. math:: x = o + \frac{q - p}{q' - p'}\, (x' - o')
+
+as complex numbers, where primes are images, conjugated if they are mirrored. If only one corner is known, its image is
+translated, and mirrored in u. A polygon loses its image if a copy is wrong, and worse than the other guess.
+
+Frozen: changing this breaks old files (contexts are specified in ``docs/file-format.md``; golden:
+``tests/compression/golden/uvs.npz``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,88 +48,282 @@ from mixseq.compression.bitstream.arithmetic import (
     DAMAGE_CURE,
     EVEN_PROBABILITY,
     HashedBits,
-    append_checksum,
     bit_length,
     checksum_of,
     code_bit,
     code_hashed_bit,
     code_raw_bits,
-    finish_stream,
+    finish_hashed,
     has_failed,
     load_state,
-    new_hashed_bits,
     new_hashed_output,
-    new_input_stream,
+    open_hashed_input,
     reserve_bits,
-    split_checksum,
     store_state,
 )
-from mixseq.compression.bitstream.connectivity import (
+from mixseq.compression.bitstream.corners import (
+    MAX_SEAM_BITS,
+    SEAM_KINDS,
     Corners,
+    code_seams,
     corners_on_nodes,
     growing_order,
     next_corner,
     previous_corner,
 )
-from mixseq.compression.bitstream.uv_seams import (
-    AROUND,
-    BESIDE,
-    COPIED,
-    MAX_SEAM_BITS,
-    SEAM_KINDS,
-    Copies,
-    Guess,
-    KnownNodes,
-    can_be_image,
-    code_seams,
-    guess_copy,
-    inherit_image,
-    make_guess,
-    new_copies,
-    new_guess,
-    set_image,
-    update_anchors,
-)
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import CornerValues, renumber_by_first_use
+from mixseq.mesh.surface import CornerValues
 from mixseq.runtime.jit import compiled
-from mixseq.types import FloatArray, Index, IntArray
+from mixseq.types import FloatArray, Index, Mask
 
-_GUESS_GROUPS = 4
-"""Groups of guesses with similar errors: around or beyond, copied, beside, anywhere. Frozen: breaks old files."""
+COPIED, AROUND, BEYOND, BESIDE, ANYWHERE = range(5)  # kinds of guesses; frozen
+
+
+class Guess(NamedTuple):
+    """A guess, and the properties of it used as contexts."""
+
+    value: Index  # (2,) the guess
+    draw_back: Index  # (2,) amount by which the guess is drawn back where guesses overshoot
+    # (3,) kind (AROUND, ...); number of averaged guesses; their spread, summed over u and v.
+    facts: Index
+    low: Index  # (2,) least u and v of the guesses in the mean
+    high: Index  # (2,) largest u and v of the guesses in the mean
+
+
+class KnownNodes(NamedTuple):
+    """Coordinates of the known nodes."""
+
+    values: Index  # (N, 2) coordinates
+    is_known: Mask  # (N,) whether coordinates are known
+    errors: Index  # (N,) distance of coordinates from their guess, summed over u and v
+
+
+def new_guess() -> Guess:
+    """Return an empty guess."""
+    return Guess(*(np.zeros(size, dtype=np.int64) for size in (2, 2, 3, 2, 2)))
+
+
+@compiled
+def make_guess(corners: Corners, known: KnownNodes, corner: int, last: int, guess: Guess) -> None:
+    """Guess the coordinates at a corner; `last` is the last known node, or -1 at the start."""
+    node, twin, values, is_known = corners.node, corners.twin, known.values, known.is_known
+    x = node[corner]
+    for i in range(2):
+        guess.value[i] = guess.draw_back[i] = 0
+    count = 0
+    for place in range(corners.around_starts[x], corners.around_starts[x + 1]):
+        corner_of_x = corners.around[place]
+        polygon = corners.polygon[corner_of_x]
+        a, b = previous_corner(corners, corner_of_x), next_corner(corners, corner_of_x)
+        z = next_corner(corners, b)
+        size = corners.starts[polygon + 1] - corners.starts[polygon]
+        if size == 3 and twin[b] >= 0:
+            z = previous_corner(corners, twin[b])
+        elif size != 4:
+            continue
+        if is_known[node[a]] and is_known[node[b]] and is_known[node[z]] and node[z] != x:
+            for i in range(2):
+                both = values[node[a], i] + values[node[b], i]
+                guess.draw_back[i] += both - values[node[z], i] - (both >> 1)
+                _add_to_mean(guess, i, both - values[node[z], i], count)
+            count += 1
+    guess.facts[0] = AROUND
+    if count:
+        for i in range(2):
+            guess.draw_back[i] = 3 * (guess.draw_back[i] // count) >> 3
+    else:
+        guess.facts[0] = BEYOND
+        a, b = previous_corner(corners, corner), next_corner(corners, corner)
+        for side in range(2):
+            near, edge = (node[a], twin[previous_corner(corners, a)]) if side == 0 else (node[b], twin[b])
+            if edge < 0 or not is_known[near]:
+                continue
+            after_edge = next_corner(corners, edge)
+            e = node[previous_corner(corners, edge) if side == 0 else next_corner(corners, after_edge)]
+            if is_known[e]:
+                for i in range(2):
+                    _add_to_mean(guess, i, 2 * values[near, i] - values[e, i], count)
+                count += 1
+        if not count:
+            guess.facts[0] = BESIDE
+            for near in (node[a], node[b]):
+                if is_known[near]:
+                    for i in range(2):
+                        _add_to_mean(guess, i, values[near, i], count)
+                    count += 1
+        if not count:
+            guess.facts[0] = ANYWHERE
+            for i in range(2):
+                _add_to_mean(guess, i, values[last, i] if last >= 0 else 0, 0)
+            count = 1
+    guess.facts[1] = count
+    guess.facts[2] = guess.high[0] - guess.low[0] + guess.high[1] - guess.low[1]
+    for i in range(2):
+        guess.value[i] = (2 * guess.value[i] + count) // (2 * count)
+
+
+@compiled
+def _add_to_mean(guess: Guess, i: int, value: int, count: int) -> None:
+    """Add a coordinate to the mean and the range of the guesses."""
+    guess.value[i] += value
+    guess.low[i] = min(guess.low[i], value) if count else value
+    guess.high[i] = max(guess.high[i], value) if count else value
+
+
+_ROTATION_BITS = 17  # bits of the numbers by which copies are rotated and scaled; frozen
+
+
+class Copies(NamedTuple):
+    """Images of the visited polygons."""
+
+    places: Index  # (P,) position of a polygon in the visiting order
+    image: Index  # (C,) the image of every corner, -1 if there is none
+    mirrored: Mask  # (P,) whether the image of a polygon is mirrored
+    region: Index  # (P,) position at which the region of a polygon began, -1 for no region
+    # (P, 2) anchors of a region, by the position at which it began: the first corner that is known with its image, and
+    # the corner whose image is farthest from that first image; -1 for none.
+    anchors: Index
+
+
+def new_copies(corners: Corners, order: Index) -> Copies:
+    """Return copies without regions."""
+    return Copies(
+        places=np.argsort(order),
+        image=np.full(len(corners.node), -1, dtype=np.int64),
+        mirrored=np.zeros(len(order), dtype=np.bool_),
+        region=np.full(len(order), -1, dtype=np.int64),
+        anchors=np.full((len(order), 2), -1, dtype=np.int64),
+    )
+
+
+@compiled
+def next_image(corners: Corners, image: int, mirrored: bool) -> int:
+    """Return the image of the next corner of a polygon."""
+    return previous_corner(corners, image) if mirrored else next_corner(corners, image)
+
+
+@compiled
+def inherited_image(corners: Corners, copies: Copies, corner: int) -> int:
+    """Return a corner's image that follows from the polygon across its half-edge, or -1 if there is none."""
+    across = corners.twin[corner]
+    if across < 0 or copies.region[corners.polygon[across]] < 0:
+        return -1
+    if not copies.mirrored[corners.polygon[across]]:
+        image: int = corners.twin[copies.image[across]]
+        return image
+    edge = corners.twin[copies.image[next_corner(corners, across)]]
+    return next_corner(corners, edge) if edge >= 0 else -1
+
+
+@compiled
+def inherit_image(corners: Corners, copies: Copies, polygon: int) -> bool:
+    """Set a polygon's image from the first adjacent polygon that gives one; return whether there is one."""
+    for corner in range(corners.starts[polygon], corners.starts[polygon + 1]):
+        image = inherited_image(corners, copies, corner)
+        if image >= 0 and can_be_image(corners, copies, polygon, corners.polygon[image]):
+            across = corners.polygon[corners.twin[corner]]
+            set_image(corners, copies, corner, image, copies.mirrored[across], copies.region[across])
+            return True
+    return False
+
+
+@compiled
+def can_be_image(corners: Corners, copies: Copies, polygon: int, image: int) -> bool:
+    """Return whether a polygon can be the image of another one."""
+    starts, places = corners.starts, copies.places
+    same_size = starts[image + 1] - starts[image] == starts[polygon + 1] - starts[polygon]
+    return bool(same_size and places[image] < places[polygon])
+
+
+@compiled
+def set_image(corners: Corners, copies: Copies, corner: int, image: int, mirrored: bool, region: int) -> None:
+    """Set the image of a corner, and the resulting images of all corners of its polygon."""
+    polygon = corners.polygon[corner]
+    copies.mirrored[polygon] = mirrored
+    copies.region[polygon] = region
+    for _ in range(corners.starts[polygon + 1] - corners.starts[polygon]):
+        copies.image[corner] = image
+        corner = next_corner(corners, corner)
+        image = next_image(corners, image, mirrored)
+
+
+@compiled
+def update_anchors(corners: Corners, copies: Copies, known: KnownNodes, corner: int) -> None:
+    """Make a corner an anchor of its region if it is the first one, or its image is farthest from the first image."""
+    node, values, image = corners.node, known.values, copies.image[corner]
+    anchors = copies.anchors[copies.region[corners.polygon[corner]]]
+    if not (known.is_known[node[corner]] and known.is_known[node[image]]):
+        return
+    if anchors[0] < 0:
+        anchors[0] = corner
+        return
+    origin = values[node[copies.image[anchors[0]]]]
+    farthest, candidate = 0, values[node[image]]
+    if anchors[1] >= 0:
+        second = values[node[copies.image[anchors[1]]]]
+        farthest = abs(second[0] - origin[0]) + abs(second[1] - origin[1])
+    if abs(candidate[0] - origin[0]) + abs(candidate[1] - origin[1]) > farthest:
+        anchors[1] = corner
+
+
+@compiled
+def guess_copy(corners: Corners, copies: Copies, known: KnownNodes, corner: int, guess: Guess) -> int:
+    """Set the guess at a corner to the copy of its image; return the number of anchors used, 0 if there is no copy."""
+    node, values, is_known, images = corners.node, known.values, known.is_known, copies.image
+    polygon = corners.polygon[corner]
+    if copies.region[polygon] < 0 or not is_known[node[images[corner]]]:
+        return 0
+    p, q = copies.anchors[copies.region[polygon]]
+    if p < 0:
+        return 0
+    o = previous_corner(corners, corner)
+    if not (is_known[node[o]] and is_known[node[images[o]]]):
+        o = next_corner(corners, corner)
+    if not (is_known[node[o]] and is_known[node[images[o]]]):
+        o = p
+    sign = -1 if copies.mirrored[polygon] else 1
+    offset_u = values[node[images[corner]], 0] - values[node[images[o]], 0]
+    offset_v = values[node[images[corner]], 1] - values[node[images[o]], 1]
+    if q < 0:
+        guess.value[0] = values[node[o], 0] + sign * offset_u
+        guess.value[1] = values[node[o], 1] + offset_v
+        return 1
+    side_u = values[node[q], 0] - values[node[p], 0]
+    side_v = values[node[q], 1] - values[node[p], 1]
+    image_u = values[node[images[q]], 0] - values[node[images[p]], 0]
+    image_v = sign * (values[node[images[q]], 1] - values[node[images[p]], 1])
+    offset_v *= sign
+    size = abs(side_u) + abs(side_v) + abs(image_u) + abs(image_v)
+    while size >> _ROTATION_BITS:
+        side_u, side_v, image_u, image_v = side_u >> 1, side_v >> 1, image_u >> 1, image_v >> 1
+        size >>= 1
+    norm = image_u * image_u + image_v * image_v
+    if norm == 0:
+        return 0
+    turn_u = side_u * image_u + side_v * image_v
+    turn_v = side_v * image_u - side_u * image_v
+    guess.value[0] = values[node[o], 0] + (2 * (turn_u * offset_u - turn_v * offset_v) + norm) // (2 * norm)
+    guess.value[1] = values[node[o], 1] + (2 * (turn_u * offset_v + turn_v * offset_u) + norm) // (2 * norm)
+    return 2
+
+
+_GUESS_GROUPS = 4  # groups of guesses with similar errors: around or beyond, copied, beside, anywhere; frozen
 
 VALUE_KINDS = 2 * _GUESS_GROUPS + 2
 """Kinds of bits after the kinds of seams: u and v for every group, and two for regions. Frozen: breaks old files."""
 
-MAX_NUMBER_BITS = 40
-"""Largest bit length of a number. Frozen: breaks old files."""
-
-MAX_COORDINATE = 1 << 26
-"""Largest magnitude of a coordinate, in steps. Frozen: breaks old files."""
-
-_MAX_COPY_ERROR = 8
-"""Error in steps above which a polygon loses its image, if the other guess is better. Frozen: breaks old files."""
-
-_REGION_KIND, _IMAGE_KIND = 2 * _GUESS_GROUPS, 2 * _GUESS_GROUPS + 1
-"""Kinds of the two numbers that begin a region. Frozen: breaks old files."""
-
-_NO_NODE = -1
-"""Value for no node, of the same type as nodes. Free: saves a compilation."""
-
-_INITIAL_SIZES = (64, 64, 160, 160)
-"""Initial expected size of an error in every group. Frozen: breaks old files."""
+MAX_NUMBER_BITS = 40  # largest bit length of a number; frozen
+MAX_COORDINATE = 1 << 26  # largest magnitude of a coordinate, in steps; frozen
+_MAX_COPY_ERROR = 8  # error in steps above which a polygon loses its image, if the other guess is better; frozen
+_REGION_KIND, _IMAGE_KIND = 2 * _GUESS_GROUPS, 2 * _GUESS_GROUPS + 1  # of the two numbers that begin a region; frozen
+_NO_NODE = -1  # value for no node, of the same type as nodes; free: saves a compilation
+_INITIAL_SIZES = (64, 64, 160, 160)  # initial expected size of an error in every group; frozen
 
 
 @compiled
 def _code_node_values(
-    bits: HashedBits,
-    corners: Corners,
-    order: Index,
-    copies: Copies,
-    regions: Index,
-    known: KnownNodes,
-    guess: Guess,
+    bits: HashedBits, corners: Corners, order: Index, copies: Copies, regions: Index, known: KnownNodes, guess: Guess
 ) -> None:
     """Code the values of all nodes, or decode them; set `bits.failed` on failure.
 
@@ -287,8 +491,7 @@ def _size_in_bits(number: int) -> int:
     return 16 * length + ((number << 5 >> length) & 15)
 
 
-_MAX_PAIR_BITS = 2 * (2 * MAX_NUMBER_BITS + 1)
-"""Largest number of bits of a pair of numbers. Free: memory is allocated ahead."""
+_MAX_PAIR_BITS = 2 * (2 * MAX_NUMBER_BITS + 1)  # largest number of bits of a pair of numbers; free: allocated ahead
 
 
 def to_grid(values: FloatArray, steps: int) -> Index | None:
@@ -321,19 +524,18 @@ def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Ind
     keys = np.column_stack([polygons.indices, numbers])
     labels = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
     bits = new_hashed_output(len(labels) * MAX_SEAM_BITS, SEAM_KINDS + VALUE_KINDS)
-    corners = _corners_of_nodes(polygons, _code_seams(bits, polygons, vertex_count, labels))
+    corners = _corners_of_nodes(polygons, code_seams(bits, polygons, vertex_count, labels))
     values = np.zeros((len(corners.around_starts) - 1, 2), dtype=np.int64)
     bits = reserve_bits(bits, (len(values) + len(polygons.counts)) * _MAX_PAIR_BITS)
     values[corners.node] = numbers
     copies, known = _code_values(bits, corners, values, regions)
-    return CodedUVs(append_checksum(finish_stream(bits.stream), checksum_of(numbers)), corners, copies, known)
+    return CodedUVs(finish_hashed(bits, checksum_of(numbers)), corners, copies, known)
 
 
 def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -> CornerValues:
     """Decode the texture coordinates written by `code_uvs`, multiples of ``1 / steps``."""
-    stream, expected = split_checksum(data)
-    bits = new_hashed_bits(new_input_stream(stream), SEAM_KINDS + VALUE_KINDS)
-    nodes = _code_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, np.int64))
+    bits, expected = open_hashed_input(data, SEAM_KINDS + VALUE_KINDS)
+    nodes = code_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, np.int64))
     corners = _corners_of_nodes(polygons, nodes)
     values = np.zeros((len(corners.around_starts) - 1, 2), dtype=np.int64)
     if not bits.failed[0]:
@@ -341,14 +543,6 @@ def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -
     if bits.failed[0] or checksum_of(values[corners.node]) != expected:
         raise FormatError(f"coded texture coordinates at {polygons.indices.size} corners are damaged; {DAMAGE_CURE}")
     return CornerValues(from_grid(values, steps), corners.node)
-
-
-def _code_seams(bits: HashedBits, polygons: Polygons, vertex_count: int, labels: Index) -> Index:
-    """Code the seams between labels ``(C,)``, or decode seams; return the node ``(C,)`` of every corner."""
-    corners = corners_on_nodes(polygons, vertex_count)
-    nodes = np.full(len(labels), -1, dtype=np.int64)
-    code_seams(bits, corners, growing_order(corners), labels, nodes)
-    return nodes
 
 
 def _corners_of_nodes(polygons: Polygons, nodes: Index) -> Corners:
@@ -364,24 +558,3 @@ def _code_values(bits: HashedBits, corners: Corners, values: Index, regions: Ind
     regions = np.zeros(len(order), dtype=np.int64) if regions is None else regions
     _code_node_values(bits, corners, order, copies, regions, known, new_guess())
     return copies, known
-
-
-def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) -> bytes | None:
-    """Code which corners share a normal, by normal numbers ``(sum of counts,)``; return None if this is impossible."""
-    bits = new_hashed_output(len(numbers) * MAX_SEAM_BITS, SEAM_KINDS)
-    normal_ids = renumber_by_first_use(numbers)
-    nodes = _code_seams(bits, polygons, vertex_count, normal_ids)
-    if not np.array_equal(renumber_by_first_use(nodes), normal_ids):
-        return None
-    return append_checksum(finish_stream(bits.stream), checksum_of(normal_ids))
-
-
-def decode_hard_edges(data: bytes, polygons: Polygons, vertex_count: int) -> Index:
-    """Decode the numbers ``(sum of counts,)`` of normals at the corners: 0, 1, 2, ... in order of first use."""
-    stream, expected = split_checksum(data)
-    bits = new_hashed_bits(new_input_stream(stream), SEAM_KINDS)
-    nodes = _code_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, dtype=np.int64))
-    numbers = renumber_by_first_use(nodes)
-    if bits.failed[0] or checksum_of(numbers) != expected:
-        raise FormatError(f"coded hard edges at {polygons.indices.size} corners are damaged; {DAMAGE_CURE}")
-    return numbers

@@ -7,46 +7,39 @@ node v, the weights :math:`w_n` of its neighbours n minimise
 .. math:: \sum_j \tau_j \Bigl( \sum_n w_n b_j(n) - b_j(v) \Bigr)^2
           + \rho \sum_j \tau_j \sum_n (w_n - w^0_n)^2, \qquad \sum_n w_n = 1
 
-over the known signals j. The trust :math:`\tau_j` balances large and small signals. It is about
-:math:`1 / (1 + m_j / 10)`, where m_j is the roughness of the signal (mean square difference of neighbours, in squared
-steps). The second term models rounding errors of the signals; :math:`w^0` are weights from the graph alone. Where known
-signals are affine functions, so is the prediction, as by the parallelogram rule.
+over the known signals j. The trust :math:`\tau_j` balances large and small signals: about :math:`1 / (1 + m_j / 10)`,
+where m_j is the mean square difference of neighbours, in squared steps. The second term models rounding errors of the
+signals. Where known signals are affine functions, so is the prediction, as by the parallelogram rule.
 
-*Initial weights.* The first signals over a mesh take most of the bytes. They are predicted from many nodes around a
-vertex, with :math:`w^0` of least bending. A removed vertex :math:`v` (`mixseq.compression.bitstream.signal_graph`) lies
-between its neighbours, but not at their mean if the surface is curved. The predicted value minimises the sum of squared
-mean slopes at the vertex and at its neighbours,
+*Initial weights* :math:`w^0` have least bending. The value of a removed vertex :math:`v`
+(`mixseq.compression.bitstream.signal_graph`) minimises the sum of squared mean slopes at the vertex and its neighbours,
 
 .. math:: \sum_{i \in \{v\} \cup N(v)} \Bigl( \frac{1}{|N(i)|} \sum_{j \in N(i)} \frac{x_j - x_i}{l_{ij}} \Bigr)^2 ,
 
-where :math:`N(i)` are v and the neighbours that i has after the removal of v, except for neighbours across v. A length
-:math:`l_{ij}` counts edges: one for an edge of the mesh, and the sum of the two replaced edges for an edge that closes
-the hole of a removed vertex. So a vertex is predicted from its neighbours and their neighbours; on a line of equal
-lengths, the weights are -1/12, 7/12, 7/12, -1/12.
+where :math:`N(i)` are v and the neighbours that i has after the removal of v, except for neighbours across v, and the
+length :math:`l_{ij}` counts edges of the mesh: on a line, the weights are -1/12, 7/12, 7/12, -1/12.
 
-*Similar nodes.* After some signals, every node is also joined to the most similar earlier nodes, anywhere in the graph.
-Distant vertices of one rigid part, or of several components, predict each other. Frames with equal poses in a repeating
-motion do so, too.
+*Similar nodes.* After some signals, every node is also joined to the most similar earlier nodes, anywhere in the graph:
+vertices of one rigid part, or frames with equal poses in a repeating motion.
 
-*Steps.* Later signals are small, and most of their numbers are zero, so the errors of coarse levels spread to all nodes
-between their nodes. Therefore coarse levels have smaller steps.
+*Steps.* Coarse levels have smaller steps, as their errors spread to all nodes between their nodes.
 
-*Reproducibility.* Values are whole 64ths of a step, trust is a power of two, and weights are whole multiples of 2^-24.
-So predictions are exact in float64, in any order of summation, for values below 2^29 (8 million steps). Roughness,
-distances and sums of products are exact in nearly all files; otherwise they are rounded in a fixed order. Weights are
-solved for with rounded + - * / and roots in a fixed order (`mixseq.compression.bitstream.predictor_kernels`).
+Of N nodes, `neighbours` ``(N, n)`` are earlier nodes, of which the first `counts` ``(N,)`` of a row are used, with
+`weights` ``(N, n)`` that add up to one. Values are int64 while a signal is coded, in 64ths of a step. Known signals are
+float64 and whole numbers, and weights multiples of 2^-24, so sums are exact for values up to 2^29. Only `solve_weights`
+and the stencils round: they require float64 + - * / and roots in the order written here, without contraction to fused
+operations. Larger values, in damaged files, give arbitrary results without an error.
 
-The constants were chosen empirically. Frozen: changing them breaks files.
+The constants were chosen empirically. Frozen: changing results breaks files (specified in ``docs/file-format.md``).
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.compression.bitstream import predictor_kernels as kernels
-from mixseq.compression.bitstream.predictor_kernels import UNITS_PER_STEP
 from mixseq.compression.bitstream.signal_graph import (
     MAX_NEIGHBOURS,
     Level,
@@ -55,14 +48,214 @@ from mixseq.compression.bitstream.signal_graph import (
     new_neighbours,
     renumber_adjacency,
 )
-from mixseq.runtime.jit import compiled
+from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.types import Float, Index, Int32
 
-MAX_STENCIL_NODES = 16
-"""Largest number of nodes in a stencil: neighbours, then nodes with the largest weights. Frozen: breaks files."""
+UNITS_PER_STEP = 64  # number of units per step; frozen
 
-MAX_SLOPE_NEIGHBOURS = 32
-"""Number of neighbours above which slopes at a node are ignored, to save time. Frozen: breaks files."""
+LANES_PER_BLOCK, LANES_PER_SMALL_BLOCK = 64, 8
+"""Number of nodes in a block, for large and for small graphs. Free: affects time only."""
+
+_MAX_PREDICTION = 2.0**50  # largest magnitude of predictions; larger ones, in damaged files, are clamped; frozen
+_ROUNDING_OFFSET = 1.5 * 2.0**28  # number whose addition and subtraction rounds to a multiple of 2^-24; frozen
+_RELATIVE_RIDGE = 1e-12  # share of a matrix's trace added to the ridge, for nearly singular matrices; frozen
+
+
+class Blocks(NamedTuple):
+    """Nodes with equal numbers of neighbours, processed together so that one instruction serves several.
+
+    Their Gram matrices ``(entries, lanes)``, in squared units, are of differences from the first neighbour, whose
+    weight is one minus the other weights: lower triangles row by row, and the right sides below them.
+    """
+
+    nodes: Int32  # (B, lanes) nodes of every block
+    counts: Int32  # (B,) number of neighbours of the nodes of every block
+    places: Index  # (B,) row at which a block begins in Gram matrices
+
+
+@force_inlined
+def predict(node: int, neighbours: Int32, counts: Int32, weights: Float, values: Index) -> int:
+    """Return the value of a node predicted from the values ``(N,)`` before it, in units."""
+    total = 0.5
+    for i in range(counts[node]):
+        total += weights[node, i] * values[neighbours[node, i]]
+    if total > _MAX_PREDICTION:
+        total = _MAX_PREDICTION
+    elif not total > -_MAX_PREDICTION:
+        total = -_MAX_PREDICTION
+    return math.floor(total)
+
+
+def round_weights(weights: Float) -> None:
+    """Round weights ``(N, n)`` to multiples of 2^-24, in place."""
+    weights += _ROUNDING_OFFSET
+    weights -= _ROUNDING_OFFSET
+
+
+@compiled
+def compute_trust(values: Float, scale: float, neighbours: Int32, counts: Int32) -> float:
+    """Return a power of two, 2/3 to 4/3 of ``1 / (1 + m / scale)``; m is the mean square of first differences."""
+    total, pairs = 0.0, 0
+    for node in range(len(values)):
+        if counts[node]:
+            difference = values[node] - values[neighbours[node, 0]]
+            total += difference * difference
+            pairs += 1
+    trust, target = 1.0, scale * pairs
+    total += target
+    while trust * total > 1.5 * target:
+        trust *= 0.5
+    return trust
+
+
+@compiled
+def accumulate_gram(signals: Float, trusts: Float, blocks: Blocks, neighbours: Int32, gram: Float) -> None:
+    """Add products of the differences of signals ``(m, N)``, times their trusts ``(m,)``, to the Gram matrices."""
+    lanes = blocks.nodes.shape[1]
+    differences = np.zeros((neighbours.shape[1], lanes))
+    for block in range(len(blocks.nodes)):
+        last = blocks.counts[block] - 1  # the row of the node itself
+        for number in range(len(signals)):
+            values, trust = signals[number], trusts[number]
+            for lane in range(lanes):
+                node = blocks.nodes[block, lane]
+                first = values[neighbours[node, 0]]
+                for i in range(last):
+                    differences[i, lane] = values[neighbours[node, i + 1]] - first
+                differences[last, lane] = values[node] - first
+            place = blocks.places[block]
+            for i in range(last + 1):
+                for j in range(min(i + 1, last)):
+                    for lane in range(lanes):
+                        gram[place, lane] += (trust * differences[i, lane]) * differences[j, lane]
+                    place += 1
+
+
+@compiled
+def solve_weights(ridge: float, blocks: Blocks, gram: Float, initial: Float, weights: Float) -> None:
+    """Write the weights of sum one that minimise w G w + ridge |w - w^0|^2, by Cholesky: `initial` w^0 ``(N, n)``."""
+    max_count, lanes = initial.shape[1], blocks.nodes.shape[1]
+    # The last row of the factor is the right side, after forward substitution.
+    factor = np.zeros((max_count * (max_count + 1) // 2, lanes))
+    inverse = np.zeros((max_count, lanes))  # inverse of the diagonal, as divisions are slow
+    solution = np.zeros((max_count, lanes))
+    damping, entry, first_weight = np.zeros(lanes), np.zeros(lanes), np.zeros(lanes)
+    for block in range(len(blocks.nodes)):
+        nodes, last, place = blocks.nodes[block], blocks.counts[block] - 1, blocks.places[block]
+        damping[:] = ridge
+        for i in range(last):
+            for lane in range(lanes):
+                damping[lane] += _RELATIVE_RIDGE * gram[place + i * (i + 3) // 2, lane]
+        for i in range(last + 1):
+            row = i * (i + 1) // 2
+            for j in range(min(i + 1, last)):
+                column = j * (j + 1) // 2
+                # The first weight, one minus the other weights, is damped as well.
+                for lane in range(lanes):
+                    entry[lane] = gram[place, lane] + damping[lane]
+                if i == last:
+                    for lane in range(lanes):
+                        node = nodes[lane]
+                        entry[lane] += damping[lane] * (initial[node, j + 1] - initial[node, 0])
+                elif i == j:
+                    for lane in range(lanes):
+                        entry[lane] += damping[lane]
+                for k in range(j):
+                    for lane in range(lanes):
+                        entry[lane] -= factor[row + k, lane] * factor[column + k, lane]
+                if i == j:
+                    for lane in range(lanes):
+                        inverse[i, lane] = 1.0 / math.sqrt(max(entry[lane], damping[lane]))
+                else:
+                    for lane in range(lanes):
+                        factor[row + j, lane] = entry[lane] * inverse[j, lane]
+                place += 1
+        row = last * (last + 1) // 2
+        first_weight[:] = 1.0
+        for i in range(last - 1, -1, -1):
+            for lane in range(lanes):
+                entry[lane] = factor[row + i, lane]
+            for k in range(i + 1, last):
+                for lane in range(lanes):
+                    entry[lane] -= factor[k * (k + 1) // 2 + i, lane] * solution[k, lane]
+            for lane in range(lanes):
+                solution[i, lane] = (entry[lane] * inverse[i, lane] + _ROUNDING_OFFSET) - _ROUNDING_OFFSET
+                first_weight[lane] -= solution[i, lane]
+        for lane in range(lanes):
+            weights[nodes[lane], 0] = first_weight[lane]
+            for i in range(last):
+                weights[nodes[lane], i + 1] = solution[i, lane]
+
+
+@compiled
+def find_similar_nodes(
+    signals: Float, neighbours: Int32, counts: Int32, exhaustive: int, similar: Int32, similar_counts: Int32
+) -> None:
+    """Find the earlier nodes nearest to every node in signals ``(D, N)``, except for its neighbours.
+
+    The first `exhaustive` nodes search all earlier nodes. Later nodes search the neighbours and similar nodes of their
+    neighbours. Up to k nodes are written to `similar` ``(N, k)``, nearest first, ties in search order, and their number
+    to `similar_counts` ``(N,)``.
+    """
+    size, most = signals.shape[1], similar.shape[1]
+    first_count = min(size, exhaustive)
+    nearest = np.empty(most)  # squared distances of the similar nodes of a node
+    distances = np.empty(first_count)
+    for node in range(first_count):
+        # Dimensions are the outer loop, so that one instruction serves several nodes.
+        distances[:node] = 0.0
+        for dimension in range(len(signals)):
+            value = signals[dimension, node]
+            for other in range(node):
+                difference = signals[dimension, other] - value
+                distances[other] += difference * difference
+        for i in range(counts[node]):
+            distances[neighbours[node, i]] = np.inf
+        similar_counts[node] = 0
+        nearest[:] = np.inf
+        for other in range(node):
+            if distances[other] < nearest[most - 1]:
+                _insert(node, other, distances[other], similar, similar_counts, nearest)
+    points = np.ascontiguousarray(signals.T)
+    visitor = np.full(size, -1, dtype=np.int32)  # the last node that visited a node
+    for node in range(first_count, size):
+        similar_counts[node] = 0
+        nearest[:] = np.inf
+        for i in range(counts[node]):
+            visitor[neighbours[node, i]] = node
+        for i in range(counts[node]):
+            neighbour = neighbours[node, i]
+            count = counts[neighbour]
+            for j in range(count + similar_counts[neighbour]):
+                other = neighbours[neighbour, j] if j < count else similar[neighbour, j - count]
+                if visitor[other] == node:
+                    continue
+                visitor[other] = node
+                distance = 0.0
+                for dimension in range(points.shape[1]):
+                    difference = points[node, dimension] - points[other, dimension]
+                    distance += difference * difference
+                    if distance >= nearest[most - 1]:
+                        break
+                if distance < nearest[most - 1]:
+                    _insert(node, int(other), distance, similar, similar_counts, nearest)
+
+
+@force_inlined
+def _insert(node: int, other: int, distance: float, similar: Int32, similar_counts: Int32, nearest: Float) -> None:
+    """Insert another node into the similar nodes of a node by squared distance, replacing the farthest."""
+    place = len(nearest) - 1
+    while place > 0 and nearest[place - 1] > distance:
+        nearest[place] = nearest[place - 1]
+        similar[node, place] = similar[node, place - 1]
+        place -= 1
+    nearest[place] = distance
+    similar[node, place] = other
+    similar_counts[node] = min(similar_counts[node] + 1, len(nearest))
+
+
+MAX_STENCIL_NODES = 16  # largest number of nodes in a stencil: neighbours, then nodes with the largest weights; frozen
+MAX_SLOPE_NEIGHBOURS = 32  # number of neighbours above which slopes at a node are ignored, to save time; frozen
 
 
 class Stencils(NamedTuple):
@@ -76,7 +269,7 @@ class Stencils(NamedTuple):
 def graph_stencils(graph: SignalGraph) -> Stencils:
     """Return the stencils of a graph; graphs over time, and nodes without edges, keep the weights of the graph."""
     stencils = _compute_stencils(graph)
-    kernels.round_weights(stencils.weights)
+    round_weights(stencils.weights)
     return stencils
 
 
@@ -190,20 +383,11 @@ def _update_lengths(level: Level, lengths: Float) -> Float:
     return new_lengths
 
 
-SIMILAR_VERTICES, SIMILAR_FRAMES = 8, 16
-"""Number of most similar nodes joined to a node: vertices, or frames. Frozen: breaks files."""
-
-SIMILARITY_SEARCH_SIGNALS = 5
-"""Number of known signals per coordinate at which similar nodes are searched for. Frozen: breaks files."""
-
-EXHAUSTIVE_SEARCH_NODES = 2048
-"""Number of first nodes that search all earlier nodes; later nodes search near neighbours. Frozen: breaks files."""
-
-RIDGE_PER_SIGNAL = 0.5
-"""Squared rounding error of a known signal, in steps: rho, the ridge of the weights. Frozen: breaks files."""
-
-ROUGHNESS_SCALE = 10.0
-"""Mean squared difference of neighbours, in squared steps, above which trust falls. Frozen: breaks files."""
+SIMILAR_VERTICES, SIMILAR_FRAMES = 8, 16  # number of most similar nodes joined to a node: vertices, or frames; frozen
+SIMILARITY_SEARCH_SIGNALS = 5  # number of known signals per coordinate at which similar nodes are searched for; frozen
+EXHAUSTIVE_SEARCH_NODES = 2048  # number of first nodes that search all earlier nodes, not only near neighbours; frozen
+RIDGE_PER_SIGNAL = 0.5  # squared rounding error of a known signal, in steps: rho, the ridge of the weights; frozen
+ROUGHNESS_SCALE = 10.0  # mean squared difference of neighbours, in squared steps, above which trust falls; frozen
 
 TRUST_DOUBLING_SIGNALS, _MAX_TRUST_DOUBLINGS = 16, 512
 """Number of signals after which trust is doubled, as newer signals resemble the next signal most, and largest number of
@@ -215,28 +399,22 @@ RENEWAL_SHIFT = 2
 Frozen: breaks files.
 """
 
-STEP_RATIO_TENTHS, MIN_STEP_UNITS = 9, 38
-"""Ratio of the steps of successive coarser levels, in tenths, and smallest step in units. Frozen: breaks files."""
-
-UNIFORM_STEP_SIGNALS = 3
-"""Number of signals per coordinate with the same step at all nodes. Frozen: breaks files."""
-
-_LARGE_GRAPH_NODES = 1024
-"""Number of nodes above which graphs are processed in larger blocks. Free: affects time only."""
+STEP_RATIO_TENTHS, MIN_STEP_UNITS = 9, 38  # ratio of steps of successive coarser levels, smallest step in units; frozen
+UNIFORM_STEP_SIGNALS = 3  # number of signals per coordinate with the same step at all nodes; frozen
+_LARGE_GRAPH_NODES = 1024  # number of nodes above which graphs are processed in larger blocks; free, affects time
 
 MIN_REPLAYED_NODES, MAX_REPLAYED_SIGNALS = 1 << 15, 24
 """Number of nodes above which Gram matrices are computed again from up to this number of signals, instead of kept.
 Free: affects memory and time only.
 """
 
-BLOCKS_PER_REPLAY = 64
-"""Number of blocks whose Gram matrices are computed together from known signals. Free: affects time only."""
+BLOCKS_PER_REPLAY = 64  # number of blocks whose Gram matrices are computed together; free: affects time
 
 
 class Predictor:
     """Weights fitted to signals over a graph, coded or decoded one after another.
 
-    Fill `values` node by node, each after `predictor_kernels.predict`; call `finish` after the last node.
+    Fill `values` node by node, each after `predict`; call `finish` after the last node.
     """
 
     def __init__(self, graph: SignalGraph, coordinates: int = 1) -> None:
@@ -286,7 +464,7 @@ class Predictor:
         ages = np.arange(self._signal_count - len(signals), self._signal_count) // TRUST_DOUBLING_SIGNALS
         trusts = np.ldexp(1.0, np.minimum(ages, _MAX_TRUST_DOUBLINGS))
         roughness = ROUGHNESS_SCALE * UNITS_PER_STEP**2
-        trusts *= [kernels.compute_trust(signal, roughness, *graph) for signal in signals]
+        trusts *= [compute_trust(signal, roughness, *graph) for signal in signals]
         self._ridge += RIDGE_PER_SIGNAL * UNITS_PER_STEP**2 * float(trusts.sum())
         self._learned.append((signals, trusts))
         self._pending = []
@@ -294,18 +472,18 @@ class Predictor:
             nodes, counts, places = self._blocks
             for start in range(0, len(nodes), BLOCKS_PER_REPLAY):
                 ids = slice(start, start + BLOCKS_PER_REPLAY)
-                blocks = kernels.Blocks(nodes[ids], counts[ids], places[ids] - places[start])
+                blocks = Blocks(nodes[ids], counts[ids], places[ids] - places[start])
                 self._learn(blocks, new_gram(blocks))
             return
         self._gram = new_gram(self._blocks) if self._gram is None else self._gram
         self._learn(self._blocks, self._gram)
         self._learned = []
 
-    def _learn(self, blocks: kernels.Blocks, gram: Float) -> None:
+    def _learn(self, blocks: Blocks, gram: Float) -> None:
         """Add the learned signals to the Gram matrices of blocks, and solve for the weights of their nodes."""
         for signals, trusts in self._learned:
-            kernels.accumulate_gram(signals, trusts, blocks, self.neighbours, gram)
-        kernels.solve_weights(self._ridge, blocks, gram, self._initial_weights, self.weights)
+            accumulate_gram(signals, trusts, blocks, self.neighbours, gram)
+        solve_weights(self._ridge, blocks, gram, self._initial_weights, self.weights)
 
     def _add_similar_nodes(self) -> None:
         """Join every node to the earlier nodes that are most similar in all known signals."""
@@ -313,9 +491,9 @@ class Predictor:
         most = SIMILAR_FRAMES if graph.is_over_time else SIMILAR_VERTICES
         similar, counts = np.zeros((graph.size, most), dtype=np.int32), np.zeros(graph.size, dtype=np.int32)
         sources = graph.neighbours, graph.counts
-        kernels.find_similar_nodes(np.array(self._signals), *sources, EXHAUSTIVE_SEARCH_NODES, similar, counts)
+        find_similar_nodes(np.array(self._signals), *sources, EXHAUSTIVE_SEARCH_NODES, similar, counts)
         neighbours, counts, weights = graph.with_extra_neighbours(similar, counts)
-        kernels.round_weights(weights)
+        round_weights(weights)
         self._set_neighbours(neighbours, counts, weights)
         self._pending, self._signals = self._signals, []
 
@@ -331,12 +509,12 @@ def level_steps(size: int) -> Index:
     return steps
 
 
-def group_nodes(counts: Int32) -> kernels.Blocks:
+def group_nodes(counts: Int32) -> Blocks:
     """Return blocks of nodes with equal neighbour counts ``(N,)``.
 
     Nodes with fewer than two neighbours have fixed weights, and no block. Partial blocks repeat their last node.
     """
-    lanes = kernels.LANES_PER_BLOCK if len(counts) > _LARGE_GRAPH_NODES else kernels.LANES_PER_SMALL_BLOCK
+    lanes = LANES_PER_BLOCK if len(counts) > _LARGE_GRAPH_NODES else LANES_PER_SMALL_BLOCK
     blocks, block_counts = [np.zeros((0, lanes), dtype=np.int32)], []
     for count in np.unique(counts[counts > 1]):
         nodes: Index = np.flatnonzero(counts == count)
@@ -346,10 +524,10 @@ def group_nodes(counts: Int32) -> kernels.Blocks:
         block_counts += rows * [count]
     sizes = np.array(block_counts, dtype=np.int32)
     entries = _gram_entries(sizes)
-    return kernels.Blocks(np.concatenate(blocks), sizes, np.cumsum(entries) - entries)
+    return Blocks(np.concatenate(blocks), sizes, np.cumsum(entries) - entries)
 
 
-def new_gram(blocks: kernels.Blocks) -> Float:
+def new_gram(blocks: Blocks) -> Float:
     """Return the Gram matrices of blocks, filled with zeros."""
     return np.zeros((int(_gram_entries(blocks.counts).sum()), blocks.nodes.shape[1]))
 

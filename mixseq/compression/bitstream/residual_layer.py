@@ -40,8 +40,7 @@ from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import two_thread_executor
 from mixseq.types import Float, Index, Int32
 
-CONTEXTS_PER_BIT, CONTEXT_VALUES = 3, 3 * NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS
-"""Number of contexts of a bit, and number of values of each. Frozen: breaks old files."""
+CONTEXTS_PER_BIT, CONTEXT_VALUES = 3, 3 * NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS  # of a bit, and values of each; frozen
 
 _MAX_MODELLED_NUMBER, _MAX_EXCESS_BITS = 8, 62
 """Largest magnitude coded with models only, and largest bit length of the excess over it. Frozen: breaks old files."""
@@ -133,11 +132,8 @@ def _code_coordinate(
 Residuals = tuple[Index, Index]
 """Displaced vertices ``(n,)`` of a frame, and their displacements ``(n, 3)`` in units of the layer."""
 
-FRAMES_PER_RUN = 16
-"""Number of frames coded together. Frozen: another number breaks old files."""
-
-_MAX_CACHED_RUNS = 8
-"""Number of cached decoded runs. Free: not in files."""
+FRAMES_PER_RUN = 16  # number of frames coded together; frozen
+_MAX_CACHED_RUNS = 8  # number of cached decoded runs; free: not in files
 
 _NO_RESIDUALS: Residuals = np.zeros(0, dtype=np.int64), np.zeros((0, 3), dtype=np.int64)
 

@@ -2,23 +2,18 @@ r"""Code signals over a graph: basis vectors over a mesh, and their coefficients
 
 Nodes are coded from coarse to fine levels. Each value is predicted from known values (`predictor`), the residual is
 rounded to a whole number of steps, and this number is written bit by bit: its length, its bits, its sign. The
-probability of a bit is mixed (`arithmetic`) from five contexts, each of which combines two quantities:
+probability of a bit is mixed (`arithmetic`) from five contexts, which combine the mean size :math:`s` of this signal's
+numbers at the neighbours, the *activity* :math:`a` of the node, an average of the sizes of its numbers in earlier
+signals, weighted towards newer signals, and its mean :math:`\bar a` over adjacent nodes; the expected size
+:math:`0.80\, s + 0.40\, a + 0.15\, \bar a`; the level of the node; and its number in the previous signal. A stream ends
+with the CRC-32 of all its values.
 
-0. the mean size :math:`s` of this signal's numbers at the neighbours, and the *activity* :math:`a` of the node, an
-   average of the sizes of its numbers in earlier signals, weighted towards newer signals;
-1. the activity, and its mean :math:`\bar a` over the ring of adjacent nodes;
-2. the expected size :math:`0.80\, s + 0.40\, a + 0.15\, \bar a`, and the level of the node in the graph;
-3. the mean size at the neighbours, and the size of the node's number in the previous signal;
-4. the expected size, and the number of earlier signals.
+The same compiled loop writes and reads numbers. A second loop reconstructs values from numbers, as the contexts of a
+number depend on numbers only.
 
-A stream ends with the CRC-32 of all its values. So different rounding, an error in a port, or a damaged file raises an
-error, and never decodes to wrong points.
-
-The same compiled loop writes and reads numbers. A second loop reconstructs values from numbers. This loop runs on
-another thread if there are many values, which is possible because the contexts of a number depend on numbers only.
-
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``); how encoders round is free. All
-decisions use integers, except the sums of `predictor_kernels.predict`, which are rounded.
+Frozen: changing this breaks old files (specified in ``docs/file-format.md``; golden:
+``tests/compression/golden/*.npz``); how encoders round is free. All decisions use integers, except the sums of
+`predictor.predict`, which are rounded.
 """
 
 from __future__ import annotations
@@ -46,37 +41,23 @@ from mixseq.compression.bitstream.arithmetic import (
     split_checksum,
     store_state,
 )
-from mixseq.compression.bitstream.predictor import Predictor
-from mixseq.compression.bitstream.predictor_kernels import UNITS_PER_STEP, predict
+from mixseq.compression.bitstream.predictor import UNITS_PER_STEP, Predictor, predict
 from mixseq.compression.bitstream.signal_graph import SignalGraph
 from mixseq.errors import FormatError
 from mixseq.runtime.jit import compiled, force_inlined
-from mixseq.runtime.parallel import WorkQueue
 from mixseq.types import Float, Index, Int32, IntArray
 
-SIZE_LEVELS = 32
-"""Number of levels of expected sizes, two per octave. Frozen: breaks old files."""
-
-DEPTH_CLASSES = 18
-"""Number of node classes by bit length of the node number, roughly the level in the graph. Frozen: breaks old files."""
-
-AGE_CLASSES = 8
-"""Number of signal classes by number of earlier signals. Frozen: breaks old files."""
-
-CONTEXTS_PER_BIT, CONTEXT_VALUES = 5, SIZE_LEVELS * SIZE_LEVELS
-"""Number of contexts of a bit, and number of values of each. Frozen: breaks old files."""
-
-_MAX_MODELLED_BITS, _MAX_NUMBER_BITS = 24, 55
-"""Largest bit length that is coded with models only, and largest bit length of a number. Frozen: breaks old files."""
-
-POSITION_COUNT = 2 * _MAX_MODELLED_BITS
-"""Number of modelled questions about a number. Frozen: breaks old files."""
+SIZE_LEVELS = 32  # number of levels of expected sizes, two per octave; frozen
+DEPTH_CLASSES = 18  # number of node classes by bit length of the node number, roughly the level in the graph; frozen
+AGE_CLASSES = 8  # number of signal classes by number of earlier signals; frozen
+CONTEXTS_PER_BIT, CONTEXT_VALUES = 5, SIZE_LEVELS * SIZE_LEVELS  # of a bit, and values of each; frozen
+_MAX_MODELLED_BITS, _MAX_NUMBER_BITS = 24, 55  # largest bit lengths, coded with models only and of a number; frozen
+POSITION_COUNT = 2 * _MAX_MODELLED_BITS  # number of modelled questions about a number; frozen
 
 _MAX_ROUNDED_NUMBER = 2.0**54
 """Largest magnitude of numbers, as trial steps may be too fine for doubles. Free: only encoders round."""
 
-_MAX_SIZE = 1 << 40
-"""Upper bound to which sizes are clamped. Frozen: breaks old files."""
+_MAX_SIZE = 1 << 40  # upper bound to which sizes are clamped; frozen
 
 
 @compiled
@@ -232,11 +213,7 @@ ROUNDING_MARGINS: Float = np.interp(np.arange(SIZE_LEVELS), [2, 6, 10, 14], [0.1
 zeros are expected, margins are smallest, as zeros save most bits. Chosen on seven sequences. Free: only encoders round.
 """
 
-_MAX_BYTES_PER_NUMBER = 16
-"""Bytes reserved in the stream per number. Free: memory is allocated ahead."""
-
-_MIN_NUMBERS_TO_QUEUE = 512
-"""Smallest number of nodes for which values are computed on a second thread. Free: affects time only."""
+_MAX_BYTES_PER_NUMBER = 16  # bytes reserved in the stream per number; free: memory is allocated ahead
 
 
 class Signal(NamedTuple):
@@ -290,13 +267,12 @@ class Writer:
 
 
 class Reader:
-    """Read the output of a `Writer` in order; a second thread computes values while the next numbers are read."""
+    """Read the output of a `Writer` in order."""
 
     def __init__(self, data: bytes) -> None:
         data, self._expected_checksum = split_checksum(data)
         self._stream = arithmetic.new_input_stream(data)
         self._checksum = 0
-        self.queue = WorkQueue()  # work of the second thread
 
     def stream(self) -> BitStream:
         """Return the stream; raise `FormatError` if it ended early."""
@@ -309,8 +285,7 @@ class Reader:
         self._checksum = checksum_of(values, self._checksum)
 
     def finish(self) -> None:
-        """Wait for all values, and verify their checksum."""
-        self.queue.wait()
+        """Verify the checksum of all values."""
         if self._checksum != self._expected_checksum:
             raise FormatError(
                 f"the decoded signals differ from the coded ones: the file is damaged; {DAMAGE_CURE}. If intact files "
@@ -333,70 +308,28 @@ class SignalCoder:
     def round(self, targets: Float) -> tuple[Float, Signal]:
         """Round a signal ``(N,)``, in steps; return its decoded values ``(N,)`` and the rounded signal."""
         predictor, numbers = self._predictor, np.empty_like(self._numbers)
-        round_signal(
-            UNITS_PER_STEP * np.asarray(targets, dtype=np.float64)[self._graph.order],
-            ROUNDING_MARGINS,
-            predictor.neighbours,
-            predictor.counts,
-            predictor.weights,
-            predictor.steps,
-            self._activity,
-            self._ring_activity,
-            numbers,
-            predictor.values,
-        )
-        signal = Signal(
-            self._signal_count,
-            predictor.neighbours,
-            predictor.counts,
-            (_compact(self._activity), _compact(self._ring_activity), _compact(self._numbers)),
-            _compact(numbers),
-            _compact(predictor.values),
-        )
-        self._add_numbers(numbers)
-        values = np.empty(self._graph.size)
-        self._finish_values(values)
-        return values, signal
+        graph, steps = (predictor.neighbours, predictor.counts), (predictor.weights, predictor.steps)
+        units = UNITS_PER_STEP * np.asarray(targets, dtype=np.float64)[self._graph.order]
+        activity = self._activity, self._ring_activity
+        round_signal(units, ROUNDING_MARGINS, *graph, *steps, *activity, numbers, predictor.values)
+        sizes = _compact(activity[0]), _compact(activity[1]), _compact(self._numbers)
+        signal = Signal(self._signal_count, *graph, sizes, _compact(numbers), _compact(predictor.values))
+        return self._finish(numbers), signal
 
     def read(self, reader: Reader) -> Float:
         """Return the values ``(N,)`` in steps of the next signal; raise `FormatError` if the stream ends early."""
-        values = self.read_ahead(reader)
-        reader.queue.wait()
-        return values
+        predictor, numbers = self._predictor, np.zeros_like(self._numbers)
+        graph, sizes = (predictor.neighbours, predictor.counts), (self._activity, self._ring_activity, self._numbers)
+        code_numbers(reader.stream(), self._models, self._signal_count, *graph, *sizes, numbers)
+        reconstruct_values(numbers, *graph, predictor.weights, predictor.steps, predictor.values)
+        reader.add_to_checksum(predictor.values)
+        return self._finish(numbers)
 
-    def read_ahead(self, reader: Reader) -> Float:
-        """Return an array ``(N,)`` for the next signal in steps, which is complete once `reader.finish` returns."""
-        predictor, numbers, values = self._predictor, np.zeros_like(self._numbers), np.empty(self._graph.size)
-        neighbours, counts = predictor.neighbours, predictor.counts
-        sizes = self._activity, self._ring_activity, self._numbers
-        code_numbers(reader.stream(), self._models, self._signal_count, neighbours, counts, *sizes, numbers)
-        self._add_numbers(numbers)
-
-        def reconstruct() -> None:
-            reconstruct_values(
-                numbers,
-                predictor.neighbours,
-                predictor.counts,
-                predictor.weights,
-                predictor.steps,
-                predictor.values,
-            )
-            reader.add_to_checksum(predictor.values)
-            self._finish_values(values)
-
-        reader.queue.submit(reconstruct, len(numbers) >= _MIN_NUMBERS_TO_QUEUE)
-        if self._signal_count == predictor.similarity_search_at:  # later numbers use new neighbours
-            reader.queue.wait()
-        return values
-
-    def _add_numbers(self, numbers: Index) -> None:
-        """Update the contexts with the numbers of the newest signal."""
-        ring, starts = self._graph.ring, self._graph.ring_starts
-        self._numbers = numbers
-        self._activity, self._ring_activity = update_activity(numbers, ring, starts, self._activity)
-        self._signal_count += 1
-
-    def _finish_values(self, values: Float) -> None:
-        """Write the newest signal, in steps, to `values` ``(N,)``, and update the predictor."""
-        values[self._graph.order] = self._predictor.values / UNITS_PER_STEP
+    def _finish(self, numbers: Index) -> Float:
+        """Learn from the newest signal, with the given numbers ``(N,)``; return its values ``(N,)`` in steps."""
+        graph, values = self._graph, np.empty(self._graph.size)
+        values[graph.order] = self._predictor.values / UNITS_PER_STEP
         self._predictor.finish()
+        self._numbers, self._signal_count = numbers, self._signal_count + 1
+        self._activity, self._ring_activity = update_activity(numbers, graph.ring, graph.ring_starts, self._activity)
+        return values

@@ -23,20 +23,11 @@ from mixseq.mesh.polygons import read_only
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index, Int32, Mask
 
-MAX_NEIGHBOURS = 12
-"""Largest number of neighbours that predict a node. Frozen: breaks old files."""
-
-NEIGHBOUR_COUNTS = MAX_NEIGHBOURS + 1
-"""Number of possible neighbour counts of a node: 0 to `MAX_NEIGHBOURS`. Frozen: breaks old files."""
-
-MAX_REMOVED_DEGREE = 6
-"""Largest number of neighbours of a removed node, unless all nodes have more. Frozen: breaks old files."""
-
-MAX_ROOT_NEIGHBOURS = 6
-"""Number of earlier roots that predict a node without neighbours. Frozen: breaks old files."""
-
-_HUB_DEGREE_RATIO = 32
-"""Degree ratio, neighbour to removed node, above which shared neighbours are found by bisection. Free: time only."""
+MAX_NEIGHBOURS = 12  # largest number of neighbours that predict a node; frozen
+NEIGHBOUR_COUNTS = MAX_NEIGHBOURS + 1  # number of possible neighbour counts of a node: 0 to `MAX_NEIGHBOURS`; frozen
+MAX_REMOVED_DEGREE = 6  # largest number of neighbours of a removed node, unless all nodes have more; frozen
+MAX_ROOT_NEIGHBOURS = 6  # number of earlier roots that predict a node without neighbours; frozen
+_HUB_DEGREE_RATIO = 32  # degree ratio, neighbour to removed node, from which bisection finds shared ones; free: time
 
 
 @compiled

@@ -12,19 +12,15 @@ shapes
     shape, whose coefficient :math:`u_0 = 1 / \sqrt T` is known.
 
 Basis vectors are split into groups with one stream each. A group is twice as large as the group before, so that a
-damaged file keeps the most important vectors. Every group has vectors of all parts. Coefficients have one stream per
-chunk of frames, coded independently.
-
-The first group begins with the part labels of vertices, in the order of the mesh's graph. A bit codes whether a vertex
-has the most frequent label of its known neighbours, and another bit the second most frequent label. If the vertex has
-neither, the label follows, highest bit first. Contexts of both bits are the numbers of neighbours with these labels,
-and of all neighbours.
+damaged file keeps the most important vectors. Every group has vectors of all parts; the first one begins with the part
+labels of vertices, each predicted from its known neighbours. Coefficients have one stream per chunk of frames, coded
+independently.
 
 In-betweens move in the spatial basis, or in an affine basis, which takes no bytes: in every labelled part, the
 functions 1, x, y and z of the position in the first frame, made orthogonal in this order (Gram-Schmidt).
 
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``; ``parts.npz`` has several parts,
-``shapes.npz`` several groups, ``long.npz`` several chunks). `mixseq.compression.encoder.trial` writes these streams.
+Frozen: changing this breaks old files (specified in ``docs/file-format.md``; golden:
+``tests/compression/golden/*.npz``). `mixseq.compression.encoder.trial` writes these streams.
 """
 
 from __future__ import annotations
@@ -61,17 +57,10 @@ from mixseq.runtime.jit import compiled
 from mixseq.runtime.parallel import two_thread_executor
 from mixseq.types import Float, Index, Int32
 
-MAX_PARTS = 128
-"""Largest number of parts of a mesh. Frozen: files with more parts are refused."""
-
-FIRST_GROUP_SIZE = 12
-"""Number of basis vectors in the first group. Frozen: another number breaks old files."""
-
-MIN_FIELD_NORM = 1e-6
-"""Norm in diagonals up to which affine fields are left out. Frozen: breaks old files."""
-
-_LABEL_BITS = 7
-"""Number of bits of a label. Frozen: breaks old files."""
+MAX_PARTS = 128  # largest number of parts of a mesh; frozen: files with more parts are refused
+FIRST_GROUP_SIZE = 12  # number of basis vectors in the first group; frozen
+MIN_FIELD_NORM = 1e-6  # norm in diagonals up to which affine fields are left out; frozen
+_LABEL_BITS = 7  # number of bits of a label; frozen
 
 
 def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
@@ -266,8 +255,7 @@ class SpatialBasis:
         return frames
 
 
-MAX_NORM = 2.0**127
-"""Limit on norms of basis vectors. Frozen: players compute in single precision."""
+MAX_NORM = 2.0**127  # limit on norms of basis vectors; frozen: players compute in single precision
 
 
 def group_slices(rank: int) -> list[slice]:
@@ -312,7 +300,7 @@ def read_basis(
                     graph = build_part_graph(part, vertices[part], labels, faces)
                 coder = SignalCoder(graph, coordinates, models)
             for _ in range(coordinates * (vectors.stop - vectors.start)):
-                signals[part].append(coder.read_ahead(reader))
+                signals[part].append(coder.read(reader))
             if vectors.stop < ranks[part]:
                 coders[part] = coder
             del coder

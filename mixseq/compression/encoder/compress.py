@@ -235,8 +235,7 @@ def _with_margin(bound: float, sequence: FrameStore, local: FrameStore) -> float
     return bound - min(1e-9 * bound + margin, bound / 2)
 
 
-_ORIGIN_ROUNDING = 2.0**-50
-"""Largest error of adding an origin in double precision, relative to the largest coordinate."""
+_ORIGIN_ROUNDING = 2.0**-50  # largest error of adding an origin in double precision, relative to the largest coordinate
 
 
 def _total_deviation(sequence: FrameStore) -> float:
@@ -286,8 +285,7 @@ def _search_streams(
     return CompressedSequence(frames.header, parameters, best.groups, best.chunks)
 
 
-MIN_MOTION_LEFT = 0.5
-"""Part of the motion below which a size is warned about: 1 - error / error of the best still mesh."""
+MIN_MOTION_LEFT = 0.5  # part of the motion below which a size is warned about: 1 - error / error of the best still mesh
 
 
 def _measure_errors(

@@ -40,20 +40,11 @@ from mixseq.signals.model import Model
 from mixseq.spaces.temporal import insert_midpoints
 from mixseq.types import Float
 
-MAX_SIZE_RATIO = 0.15
-"""Largest ratio of the bytes of in-betweens to those of basis, coefficients and residual layer."""
-
-MAX_ERROR_RATIO = 0.8
-"""Largest ratio of root mean square errors, after to before a level, at which the level is kept."""
-
-ROUNDING_RATIO = 0.2
-"""Ratio of the mean square rounding error of in-betweens to the mean square distance of the basis from the model."""
-
-MAX_COMPARED_LEVELS = 2
-"""Number of levels at whose times two bases are compared: the middles and quarters between frames."""
-
-STEP_FACTORS = (1, 2, 4, 8, 16, 32)
-"""Multiples of the step that are tried for the middles between frames, until the bytes suffice."""
+MAX_SIZE_RATIO = 0.15  # largest ratio of the bytes of in-betweens to those of basis, coefficients and residual layer
+MAX_ERROR_RATIO = 0.8  # largest ratio of root mean square errors, after to before a level, at which the level is kept
+ROUNDING_RATIO = 0.2  # ratio of mean squares: rounding errors of in-betweens to distances of the basis from the model
+MAX_COMPARED_LEVELS = 2  # number of levels at whose times two bases are compared: middles and quarters of frames
+STEP_FACTORS = (1, 2, 4, 8, 16, 32)  # multiples of the step tried for the middles, until the bytes suffice
 
 
 class Levels(NamedTuple):

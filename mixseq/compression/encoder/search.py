@@ -33,10 +33,11 @@ from mixseq.compression.bitstream.signal_graph import (
 from mixseq.compression.bitstream.spatial_basis import BasisKind
 from mixseq.compression.encoder.components import (
     PrincipalComponents,
+    initial_parts,
+    refine_parts,
     shape_components,
     trajectory_components,
 )
-from mixseq.compression.encoder.parts import initial_parts, refine_parts
 from mixseq.compression.encoder.trial import Candidate, Trial, add_residuals, squared_error, try_step
 from mixseq.errors import SizeError
 from mixseq.runtime.low_memory import return_freed_memory
@@ -60,14 +61,9 @@ def coarsen_mesh(faces: NDArray[np.integer], vertex_count: int, max_vertices: in
     return vertices, edges[:, [0, 1, 1]]
 
 
-MAX_SHAPES_BIT_RATIO = 1.65
-"""Ratio of bits before prediction, shapes to trajectories, up to which shapes are tried; prediction favours shapes."""
-
-PART_COUNTS = (3, 6, 12)
-"""Numbers of parts that are tried."""
-
-COARSE_VERTICES, LARGE_MESH_RATIO = 8000, 1.5
-"""Number of vertices of the coarse mesh, and multiple of it above which meshes are compared on the coarse mesh."""
+MAX_SHAPES_BIT_RATIO = 1.65  # ratio of bits before prediction, shapes to trajectories, up to which shapes are tried
+PART_COUNTS = (3, 6, 12)  # numbers of parts that are tried
+COARSE_VERTICES, LARGE_MESH_RATIO = 8000, 1.5  # vertices of the coarse mesh, and multiple above which it is used
 
 BASIS_KINDS: tuple[BasisKind, ...] = ("trajectories", "shapes")
 
@@ -167,32 +163,21 @@ def _unpredicted_bits(candidate: Candidate, step: float) -> float:
     return float(part.width * np.log2(np.maximum(part.norms / (step * part.width**0.5), 1.0)).sum())
 
 
-MAX_ROUNDS = 6
-"""Largest number of steps that are tried."""
-
-TARGET_TOLERANCE = 0.01
-"""Largest relative amount by which an error, or a size, may stay below the target."""
+MAX_ROUNDS = 6  # largest number of steps that are tried
+TARGET_TOLERANCE = 0.01  # largest relative amount by which an error, or a size, may stay below the target
 
 STEP_TOLERANCE = 1e-3
 """Relative distance of steps, one that meets the target and one that does not, at which the search ends."""
 
-SIZE_EXPONENT = 0.4
-"""Approximate exponent e of the sizes: size is proportional to error^-e."""
-
-INITIAL_ERROR = 0.002
-"""Initial error of the search for a size, relative to the total deviation of vertices from centroids."""
-
-INITIAL_RMS_ERROR = 0.42
-"""Initial root mean square error of the search for a bound, relative to the bound."""
-
-MAX_ERROR = 0.2
-"""Largest error at which candidates are compared in the search for a size, relative to the same deviation."""
+SIZE_EXPONENT = 0.4  # approximate exponent e of the sizes: size is proportional to error^-e
+INITIAL_ERROR = 0.002  # initial error of the search for a size, relative to the deviation of vertices from centroids
+INITIAL_RMS_ERROR = 0.42  # initial root mean square error of the search for a bound, relative to the bound
+MAX_ERROR = 0.2  # largest error at which candidates are compared in the search for a size, relative to that deviation
 
 MAX_RESTARTS, RESTART_RATIO, MAX_RESTART_RATIO = 4, 3.0, 100.0
 """Restarts of the search for a size: largest number, smallest ratio of errors for one, largest change of the error."""
 
-STEP_FACTOR = 1.5
-"""Ratio of successive steps that are tried for a bound."""
+STEP_FACTOR = 1.5  # ratio of successive steps that are tried for a bound
 
 RUNNER_UP_RATIO, SIZE_RUNNER_UP_RATIO = 1.02, 1.1
 """Ratio of the two smallest sizes at the first step up to which both candidates are tried with further steps.
@@ -200,22 +185,16 @@ RUNNER_UP_RATIO, SIZE_RUNNER_UP_RATIO = 1.02, 1.1
 The second is for a size, of which the error must not grow with it.
 """
 
-INITIAL_PART_COUNT = 6
-"""Number of parts tried first; more or fewer are tried while bytes decrease."""
+INITIAL_PART_COUNT = 6  # number of parts tried first; more or fewer are tried while bytes decrease
 
 MAX_COEFFICIENT_RATIO = 0.75
 """Ratio of coefficient bytes to basis bytes, with `INITIAL_PART_COUNT` parts, above which one part is tried next.
 Of 23 sequences, one part was smallest above this ratio; several parts were smallest, or nearly, below 0.61.
 """
 
-INITIAL_ERROR_RATIO = 0.9
-"""Assumed ratio of actual to expected error in the first trial."""
-
-ALGEBRAIC_PRECISION = 1e-5
-"""Relative distance from the target below which errors are measured on frames, as computed errors are less accurate."""
-
-MIN_RELATIVE_ERROR = 1e-9
-"""Smallest error relative to the target; smaller errors are clamped to this value."""
+INITIAL_ERROR_RATIO = 0.9  # assumed ratio of actual to expected error in the first trial
+ALGEBRAIC_PRECISION = 1e-5  # relative distance from the target below which errors are measured on frames: more accurate
+MIN_RELATIVE_ERROR = 1e-9  # smallest error relative to the target; smaller errors are clamped to this value
 
 
 class Search:

@@ -37,8 +37,7 @@ from mixseq.runtime.parallel import thread_executor, two_thread_executor
 from mixseq.sequence.sequence import FrameStore, block_size, iterate_blocks
 from mixseq.types import Float, Index
 
-DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRAMES = 512, 16
-"""Default and smallest approximate number of frames in a chunk."""
+DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRAMES = 512, 16  # default and smallest approximate number of frames in a chunk
 
 
 class RoundedPart(NamedTuple):
@@ -149,11 +148,8 @@ def code_coefficients(signals: Sequence[Signal]) -> bytes:
     return writer.finish()
 
 
-LATE_VERTEX_SIZE = 0.35
-"""Bytes per vertex outside the coarse mesh, relative to the coarse mesh: finer levels are predicted better."""
-
-MIN_ALGEBRAIC_ERROR = 1e-10
-"""Ratio of squared error to squared motion below which errors are measured on frames: computed errors lose digits."""
+LATE_VERTEX_SIZE = 0.35  # bytes per vertex outside the coarse mesh, relative to it: finer levels are predicted better
+MIN_ALGEBRAIC_ERROR = 1e-10  # squared error over motion below which errors are measured on frames: sums lose digits
 
 
 @dataclass(frozen=True, eq=False)

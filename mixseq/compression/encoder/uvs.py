@@ -16,9 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.compression.bitstream.connectivity import Corners, next_corner, previous_corner
-from mixseq.compression.bitstream.corner_values import CodedUVs, code_uvs, from_grid
-from mixseq.compression.bitstream.uv_seams import next_image
+from mixseq.compression.bitstream.corner_values import CodedUVs, code_uvs, from_grid, next_image
+from mixseq.compression.bitstream.corners import Corners, next_corner, previous_corner
 from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues
@@ -29,17 +28,10 @@ from mixseq.types import Float, Index, Mask
 _WIDE_SEARCH, _NARROW_SEARCH = (100, 0.2, 12.0), (12, 0.05, 24.0)
 """Number of candidates, largest distance of their shapes (in logarithms), and least number of bits a region saves."""
 
-_MIN_ERROR_BITS = 8.0
-"""Least number of bits of a polygon's errors for which the polygon is tested as the start of a copy."""
-
-_MAX_TESTED_POLYGONS = 4096
-"""Largest number of tested polygons, to bound the time. Polygons with the largest errors are preferred."""
-
-_SAMPLED_POLYGONS = 256
-"""Number of polygons examined to estimate the saving of a candidate."""
-
-_COPY_TOLERANCE = 6.0, 0.01
-"""Tolerance of a copied node: in steps, and relative to the distance of its image from the first image."""
+_MIN_ERROR_BITS = 8.0  # least number of bits of a polygon's errors for which it is tested as the start of a copy
+_MAX_TESTED_POLYGONS = 4096  # largest number of tested polygons, those with the largest errors, to bound the time
+_SAMPLED_POLYGONS = 256  # number of polygons examined to estimate the saving of a candidate
+_COPY_TOLERANCE = 6.0, 0.01  # of a copied node: in steps, and relative to its image's distance from the first image
 
 
 class _Search(NamedTuple):
@@ -232,14 +224,9 @@ def _copy_error(values: Index, x: int, y: int, p: int, p_image: int, q: int, q_i
     return error
 
 
-UV_ERROR = 2.0**-16
-"""Default largest error of u and v: 1/16 of a texel of a texture of 4096 x 4096."""
-
-MAX_UV_ERROR = 0.25
-"""Largest allowed error: its grid has only the steps 0, 1/2 and 1."""
-
-_MAX_STEPS = 1 << 23
-"""Largest coordinate in steps for which float32 separates adjacent steps."""
+UV_ERROR = 2.0**-16  # default largest error of u and v: 1/16 of a texel of a texture of 4096 x 4096
+MAX_UV_ERROR = 0.25  # largest allowed error: its grid has only the steps 0, 1/2 and 1
+_MAX_STEPS = 1 << 23  # largest coordinate in steps for which float32 separates adjacent steps
 
 
 def with_quantised_uvs(

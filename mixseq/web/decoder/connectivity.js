@@ -1,4 +1,4 @@
-// Decode polygons, in their order; corners on nodes, and the growing order. Mirrors mixseq/compression/bitstream/connectivity.py.
+// Decode polygons, in their order; corners on nodes, and the growing order. Mirrors mixseq/compression/bitstream/connectivity.py and corners.py.
 import { CONTEXTS_PER_BIT, checksumOf, hashedBits, splitChecksum, verifyChecksum } from "./arithmetic.js";
 import { BASE_COUNT, CLOSED, GUESS_COUNT, OPEN, UNUSED, addPolygon, makeGuesses, newHalfEdges, newHistory, recordGuesses, repeatSlot, setState, vertexAtRank, vertexRank } from "./connectivity_kernels.js";
 import { MixseqError } from "./errors.js";

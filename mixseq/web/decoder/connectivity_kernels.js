@@ -1,5 +1,5 @@
 // Half-edges of a mesh that grows polygon by polygon. A half-edge has the number of its first corner, and is open until its
-// opposite is added. Mirrors mixseq/compression/bitstream/connectivity_kernels.py.
+// opposite is added. Mirrors the tables of mixseq/compression/bitstream/connectivity.py.
 import { CONTEXTS_PER_BIT, hashContext } from "./arithmetic.js";
 
 /** States of vertices. */

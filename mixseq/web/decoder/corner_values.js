@@ -1,4 +1,4 @@
-// Decode texture coordinates and hard edges on the polygons of a mesh. Mirrors mixseq/compression/bitstream/corner_values.py.
+// Decode texture coordinates and hard edges on the polygons of a mesh. Mirrors mixseq/compression/bitstream/corner_values.py and corners.py.
 import { checksumOf, hashedBits, splitChecksum, verifyChecksum } from "./arithmetic.js";
 import { cornersOnNodes, growingOrder } from "./connectivity.js";
 import { MixseqError } from "./errors.js";

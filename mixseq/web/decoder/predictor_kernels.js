@@ -1,4 +1,4 @@
-// Predictions, their weights, and similar nodes. Mirrors mixseq/compression/bitstream/predictor_kernels.py.
+// Predictions, their weights, and similar nodes. Mirrors the loops of mixseq/compression/bitstream/predictor.py.
 //
 // Values are whole, in units of 1/64 step, weights multiples of 2^-24. Neighbours and weights are N x width; the first
 // `counts[node]` of a row count. Only `solveWeights` rounds: + - * / and roots, in the order of the specification.

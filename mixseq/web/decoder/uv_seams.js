@@ -1,5 +1,5 @@
 // Decode which corners at a vertex share texture coordinates, or normals; guess coordinates from adjacent nodes and copies.
-// Mirrors mixseq/compression/bitstream/uv_seams.py.
+// Mirrors parts of mixseq/compression/bitstream/corners.py and corner_values.py.
 
 /** Kinds of bits with weights of their own. */
 export const SEAM_KINDS = 4;

@@ -1,4 +1,4 @@
-"""Coders of `scripts/bench compress` and `speed`: `mixseq.compress`, Draco, meshopt, and quantised differences.
+"""Coders of `scripts/bench compress` and `speed`: `mixseq.compress`, Draco and meshopt.
 
 For PCA see `pca.py`. Connectivity is not part of the measured size: a decoder is given the mesh.
 """
@@ -19,7 +19,7 @@ import mixseq
 from mixseq.errors import InvalidSequenceError
 from mixseq.types import Float, Index
 from mixseq_io.model_files import compressed_sizes
-from scripts.benchmarks.peers.packing import from_zstd, numbers, planes, to_zstd, width
+from scripts.benchmarks.peers.packing import from_zstd, to_zstd
 
 KG_TARGETS = (1.0, 0.5, 0.1, 0.05, 0.02)
 """KG errors in percent that rates are given at."""
@@ -107,45 +107,9 @@ class Ours:
             return np.concatenate(list(model.blocks(model.times))).astype(np.float64)
 
 
-# Quantised differences ---
-
-_DIFFERENCES_HEAD = struct.Struct("<IB4d")  # frames, bytes a number, origin, step
-
-
-class Differences:
-    """One quantisation step, second differences in time, zstd."""
-
-    name = "differences"
-    title = "quantisation, 2nd differences, zstd"
-    package = "zstandard"
-
-    def settings(self, sequence: mixseq.MeshSequence) -> Iterable[float]:
-        return (step_of(sequence, kg) for kg in KG_SWEEP)
-
-    def encode(self, sequence: mixseq.MeshSequence, setting: float) -> bytes:
-        """Code q_t - 2 q_(t-1) + q_(t-2), with zeros before the first frame, vertex by vertex in time."""
-        points = sequence.points.astype(np.float64)
-        origin = points.min(axis=(0, 1))
-        q = np.rint((points - origin) / setting).astype(np.int64)
-        first = np.diff(q, axis=0, prepend=0)
-        second = np.concatenate([first[:1], np.diff(first, axis=0)])
-        second[1:2] = first[1:2]  # the second frame by its difference: nothing is known of its speed
-        size = width(second)
-        head = _DIFFERENCES_HEAD.pack(len(q), size, *origin, setting)
-        return head + to_zstd(planes(second.transpose(2, 1, 0), size))
-
-    def signals(self, mesh: mixseq.Topology, data: bytes) -> int:
-        return len(data)
-
-    def decode(self, mesh: mixseq.Topology, data: bytes) -> Float:
-        frames, size, *origin, step = _DIFFERENCES_HEAD.unpack_from(data)
-        second = numbers(from_zstd(data[_DIFFERENCES_HEAD.size :]), size)
-        first = second.reshape(3, mesh.vertex_count, frames).transpose(2, 1, 0).copy()
-        first[1:] = np.cumsum(first[1:], axis=0)
-        return np.asarray(np.cumsum(first, axis=0) * step + np.array(origin))
-
-
 # meshopt ---
+
+_HEAD = struct.Struct("<I4d")  # frames, origin, step
 
 
 class Meshopt:
@@ -169,7 +133,7 @@ class Meshopt:
         rows = np.pad(np.diff(q, axis=0, prepend=np.int16(0)), ((0, 0), (0, 0), (0, 1)))
         frames = [meshopt.encode_vertex_buffer(np.ascontiguousarray(frame)) for frame in rows]
         sizes = np.array([len(frame) for frame in frames], dtype="<u4")
-        head = _DIFFERENCES_HEAD.pack(len(q), 2, *origin, step)
+        head = _HEAD.pack(len(q), *origin, step)
         return head + to_zstd(sizes.tobytes() + b"".join(frames))
 
     def signals(self, mesh: mixseq.Topology, data: bytes) -> int:
@@ -178,8 +142,8 @@ class Meshopt:
     def decode(self, mesh: mixseq.Topology, data: bytes) -> Float:
         import meshopt
 
-        count, _, *origin, step = _DIFFERENCES_HEAD.unpack_from(data)
-        unpacked = from_zstd(data[_DIFFERENCES_HEAD.size :])
+        count, *origin, step = _HEAD.unpack_from(data)
+        unpacked = from_zstd(data[_HEAD.size :])
         ends = 4 * count + np.cumsum(np.frombuffer(unpacked, "<u4", count))
         buffers = (unpacked[start:end] for start, end in zip([4 * count, *ends[:-1]], ends, strict=True))
         rows = [meshopt.decode_vertex_buffer(each, mesh.vertex_count, 8).view(np.int16) for each in buffers]

@@ -11,14 +11,7 @@ from mixseq.types import Index
 ZSTD_LEVEL = 19
 
 # Planes of bytes have no alignment. A smaller dictionary than the preset's saves the time to allocate it.
-_LZMA = {
-    "id": lzma.FILTER_LZMA2,
-    "preset": 9 | lzma.PRESET_EXTREME,
-    "dict_size": 1 << 23,
-    "lc": 0,
-    "lp": 0,
-    "pb": 0,
-}
+_LZMA = {"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME, "dict_size": 1 << 23, "lc": 0, "lp": 0, "pb": 0}
 
 
 def width(values: Index) -> int:

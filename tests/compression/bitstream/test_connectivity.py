@@ -13,12 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.connectivity import decode_polygons, encode_polygons
-from mixseq.compression.bitstream.connectivity_kernels import (
+from mixseq.compression.bitstream.connectivity import (
     CLOSED,
     OPEN,
     UNUSED,
     add_polygon,
+    decode_polygons,
+    encode_polygons,
     new_half_edges,
     vertex_at_rank,
     vertex_rank,

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.compression.bitstream.connectivity import (
-    corners_on_nodes,
-    growing_order,
-    next_corner,
-    previous_corner,
-)
+from mixseq.compression.bitstream.corners import corners_on_nodes, growing_order, next_corner, previous_corner
 from mixseq.mesh.polygons import Polygons
 from tests.meshes import grid, pages
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.compression.bitstream.corner_values import decode_hard_edges, encode_hard_edges
+from mixseq.compression.bitstream.corners import decode_hard_edges, encode_hard_edges
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import renumber_by_first_use

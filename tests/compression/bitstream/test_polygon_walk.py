@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.compression.bitstream.connectivity import walk_polygons
+from mixseq.compression.bitstream.corners import walk_polygons
 from mixseq.mesh.polygons import Polygons
 from mixseq.types import Index
 from tests.meshes import flipped, grid, joined, pages, tetrahedron, torus, tube

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from mixseq.compression.bitstream import predictor as module
-from mixseq.compression.bitstream import predictor_kernels as kernels
 from mixseq.compression.bitstream.predictor import (
     MAX_SLOPE_NEIGHBOURS,
     MAX_STENCIL_NODES,
@@ -20,6 +19,7 @@ from mixseq.compression.bitstream.predictor import (
     SIMILAR_VERTICES,
     SIMILARITY_SEARCH_SIGNALS,
     UNIFORM_STEP_SIGNALS,
+    UNITS_PER_STEP,
     Predictor,
     Stencils,
     graph_stencils,
@@ -27,7 +27,6 @@ from mixseq.compression.bitstream.predictor import (
     level_steps,
     new_gram,
 )
-from mixseq.compression.bitstream.predictor_kernels import UNITS_PER_STEP
 from mixseq.compression.bitstream.signal_graph import (
     SignalGraph,
     coarser_levels,
@@ -58,7 +57,7 @@ GRAPHS = {
 @compiled
 def expected(node: int, neighbours: NDArray[np.int32], counts: NDArray[np.int32], weights: Float, values: Index) -> int:
     """Return what is predicted of a node."""
-    return kernels.predict(node, neighbours, counts, weights, values)
+    return module.predict(node, neighbours, counts, weights, values)
 
 
 def code(predictor: Predictor, signal: Float) -> Index:
@@ -216,9 +215,9 @@ def test_gram_matrices_are_exact() -> None:
         blocks = group_nodes(counts)
         gram = new_gram(blocks)
         for signal in order:
-            trust = kernels.compute_trust(signal, ROUGHNESS_SCALE * UNITS_PER_STEP**2, neighbours, counts)
+            trust = module.compute_trust(signal, ROUGHNESS_SCALE * UNITS_PER_STEP**2, neighbours, counts)
             some = signal[None], np.array([trust])
-            kernels.accumulate_gram(*some, blocks, neighbours, gram)
+            module.accumulate_gram(*some, blocks, neighbours, gram)
         grams.append(gram)
     np.testing.assert_array_equal(grams[0], grams[1])
     assert grams[0].any()
@@ -245,17 +244,10 @@ def test_matrices_that_are_computed_again_give_the_same_weights(monkeypatch: pyt
 
 def test_trust_is_a_power_of_two() -> None:
     neighbours, counts = np.array([[0], [0], [1]], dtype=np.int32), np.array([0, 1, 1], dtype=np.int32)
-    for rough, expected_trust in [
-        (0.0, 1.0),
-        (4.9, 1.0),
-        (5.1, 0.5),
-        (19.9, 0.5),
-        (20.1, 0.25),
-        (1e6, 2.0**-17),
-    ]:
+    for rough, expected_trust in [(0.0, 1.0), (4.9, 1.0), (5.1, 0.5), (19.9, 0.5), (20.1, 0.25), (1e6, 2.0**-17)]:
         signal = np.array([0.0, np.sqrt(rough), 0.0])  # a mean square of rough
-        assert kernels.compute_trust(signal, 10.0, neighbours, counts) == expected_trust
-    assert kernels.compute_trust(signal[:1], 10.0, neighbours, counts[:1]) == 1
+        assert module.compute_trust(signal, 10.0, neighbours, counts) == expected_trust
+    assert module.compute_trust(signal[:1], 10.0, neighbours, counts[:1]) == 1
 
 
 # Weights ------------------------------------------------------------------------------------------------------
@@ -285,12 +277,12 @@ def test_weights_are_those_of_numpy(seed: int, nodes: int) -> None:
     products = np.zeros((nodes, most, most))
     signals = rng.normal(size=(int(rng.integers(1, 9)), nodes))
     trusts = rng.uniform(0.1, 1, len(signals))
-    kernels.accumulate_gram(signals, trusts, blocks, neighbours, gram)
+    module.accumulate_gram(signals, trusts, blocks, neighbours, gram)
     for values, trust in zip(signals, trusts, strict=True):
         apart = values[neighbours] - values[:, None]
         products += trust * apart[:, :, None] * apart[:, None, :]
     weights = np.full((nodes, most), 9.0)
-    kernels.solve_weights(ridge, blocks, gram, start, weights)
+    module.solve_weights(ridge, blocks, gram, start, weights)
     for node, count in enumerate(counts):
         if count > 1:
             wanted = constrained(products[node, :count, :count], ridge, start[node, :count])
@@ -307,12 +299,12 @@ def test_the_parallelogram_rule_is_a_case_of_it() -> None:
     blocks = group_nodes(np.array([0, 0, 0, 3], dtype=np.int32))
     gram = new_gram(blocks)
     weights = np.zeros((4, 3))
-    kernels.accumulate_gram(corner.T.copy(), np.ones(3), blocks, neighbours, gram)
-    kernels.solve_weights(1e-9, blocks, gram, np.full((4, 3), 1 / 3), weights)
+    module.accumulate_gram(corner.T.copy(), np.ones(3), blocks, neighbours, gram)
+    module.solve_weights(1e-9, blocks, gram, np.full((4, 3), 1 / 3), weights)
     np.testing.assert_allclose(weights[3], [-1, 1, 1], atol=1e-7)
 
 
-@pytest.mark.parametrize(("many", "lanes"), [(20, kernels.LANES_PER_SMALL_BLOCK), (2000, kernels.LANES_PER_BLOCK)])
+@pytest.mark.parametrize(("many", "lanes"), [(20, module.LANES_PER_SMALL_BLOCK), (2000, module.LANES_PER_BLOCK)])
 def test_blocks_are_of_nodes_with_equally_many_neighbours(many: int, lanes: int) -> None:
     counts = np.array([0, 1, *[3] * many, 2], dtype=np.int32)
     members, sizes, _ = group_nodes(counts)
@@ -341,7 +333,7 @@ def search(graph: SignalGraph, signals: Float, exhaustive: int) -> list[list[int
     """Four nodes that are nearest to each."""
     similar, found = np.zeros((graph.size, 4), dtype=np.int32), np.zeros(graph.size, dtype=np.int32)
     neighbours, counts = graph.neighbours, graph.counts
-    kernels.find_similar_nodes(signals, neighbours, counts, exhaustive, similar, found)
+    module.find_similar_nodes(signals, neighbours, counts, exhaustive, similar, found)
     return [row[:count].tolist() for row, count in zip(similar, found, strict=True)]
 
 

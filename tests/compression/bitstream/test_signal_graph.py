@@ -166,14 +166,7 @@ def test_neighbours_are_sorted() -> None:
     assert rows(starts, beside) == [[1, 3], [0, 2, 3], [1], [0, 1, 5], [], [3]]
     left = np.array([True, False, True, True, True, True])
     added = np.array([[2, 0], [3, 2], [0, 3]], np.int32)
-    assert rows(*update_adjacency(starts, beside, left, added)) == [
-        [2, 3],
-        [],
-        [0, 3],
-        [0, 2, 5],
-        [],
-        [3],
-    ]
+    assert rows(*update_adjacency(starts, beside, left, added)) == [[2, 3], [], [0, 3], [0, 2, 5], [], [3]]
     starts, beside = edge_neighbours(np.zeros((0, 2), np.int32), 2)
     assert starts.tolist() == [0, 0, 0]
     assert beside.size == 0

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from mixseq.compression.bitstream.corner_values import MAX_COORDINATE, code_uvs, decode_uvs, from_grid, to_grid
-from mixseq.compression.bitstream.uv_seams import MAX_SEARCHED_NODES
+from mixseq.compression.bitstream.corners import MAX_SEARCHED_NODES
 from mixseq.compression.encoder.uvs import encode_uvs
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
@@ -145,11 +145,7 @@ def golden_uvs() -> tuple[Polygons, NDArray[np.int64]]:
     uvs = bumpy(uvs, 15.0)
     copy = uvs * [-1, 1] + [9000, 0]
     ring = tube(5, 4)[1]
-    faces: list[NDArray[np.integer]] = [
-        polygons.triangles,
-        polygons.triangles[:, ::-1] + len(uvs),
-        ring + 2 * len(uvs),
-    ]
+    faces: list[NDArray[np.integer]] = [polygons.triangles, polygons.triangles[:, ::-1] + len(uvs), ring + 2 * len(uvs)]
     quads = np.array([[0, 1, 2, 3], [3, 2, 4, 5], [1, 6, 7, 2]]) + 2 * len(uvs) + int(ring.max()) + 1
     triangles = np.concatenate(faces)
     whole = Polygons(

@@ -7,8 +7,7 @@ import pytest
 
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.encoder import search
-from mixseq.compression.encoder.components import trajectory_components
-from mixseq.compression.encoder.parts import initial_parts
+from mixseq.compression.encoder.components import initial_parts, trajectory_components
 from mixseq.compression.encoder.search import BASIS_KINDS, PART_COUNTS, Candidates, coarsen_mesh, step_for_error
 from mixseq.compression.encoder.trial import try_step
 from mixseq.sequence.sequence import load_frames

@@ -22,14 +22,14 @@ from hypothesis import strategies as st
 
 import mixseq
 import mixseq.errors
-from mixseq.compression.bitstream import signal_coder, spatial_basis
+from mixseq.compression.bitstream import spatial_basis
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.bitstream.spatial_basis import read_labels, split_parts, write_labels
+from mixseq.compression.encoder import components, trial
 from mixseq.compression.encoder import compress as compressing
-from mixseq.compression.encoder import parts, trial
-from mixseq.compression.encoder.parts import initial_parts, merge_parts
+from mixseq.compression.encoder.components import initial_parts, merge_parts
 from mixseq.compression.encoder.search import TARGET_TOLERANCE, _error_at_size
 from mixseq.errors import FormatError, MixseqWarning, SettingsError, SizeError
 from mixseq.runtime.parallel import thread_count
@@ -342,12 +342,11 @@ def test_bytes_are_the_same_in_a_process_with_another_number_of_threads() -> Non
 def test_bytes_are_the_same_however_much_is_done_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     expected = digest_here()
     monkeypatch.setenv("MIXSEQ_THREADS", "3")
-    monkeypatch.setattr(signal_coder, "_MIN_NUMBERS_TO_QUEUE", 1)
     assert digest(bar(sides=14, rings=25, frames=9)) == expected
 
 
 @pytest.mark.parametrize(
-    ("module", "name"), [(parts, "_code_lengths"), (trial, "_round_part"), (spatial_basis, "build_part_graph")]
+    ("module", "name"), [(components, "_code_lengths"), (trial, "_round_part"), (spatial_basis, "build_part_graph")]
 )
 def test_more_than_two_cores_take_no_more_memory(
     module: ModuleType, name: str, monkeypatch: pytest.MonkeyPatch

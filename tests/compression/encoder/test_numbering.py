@@ -93,13 +93,7 @@ def test_a_size_counts_the_bytes_of_the_order() -> None:
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize(
-    ("name", "most"),
-    [
-        ("horse_gallop", (3.4, 1.1)),
-        ("cheburashka", (6.2, 1.1)),
-    ],
-)
+@pytest.mark.parametrize(("name", "most"), [("horse_gallop", (3.4, 1.1)), ("cheburashka", (6.2, 1.1))])
 def test_real_meshes_take_few_bits(data: Path, name: str, most: tuple[float, float]) -> None:
     sequence: Any = mixseq.read(data / "npz" / f"{name}.npz")
     assert bits(sequence, "vertices") < most[0]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.compression.bitstream.signal_graph import mesh_graph
-from mixseq.compression.encoder.components import trajectory_components
-from mixseq.compression.encoder.parts import MIN_PART_VERTICES, refine_parts
+from mixseq.compression.encoder.components import MIN_PART_VERTICES, refine_parts, trajectory_components
 from mixseq.compression.encoder.trial import Candidate, try_step
 from mixseq.sequence.sequence import FrameStore, MeshSequence, load_frames
 from mixseq.types import Index

@@ -158,10 +158,7 @@ FACES, COUNT = SEQUENCE.header.faces, SEQUENCE.header.vertex_count
 
 def trial() -> Trial:
     """Two parts, several chunks."""
-    components, labels = (
-        trajectory_components(SEQUENCE, 1e-6),
-        (np.arange(COUNT) >= COUNT // 2).astype(np.int64),
-    )
+    components, labels = (trajectory_components(SEQUENCE, 1e-6), (np.arange(COUNT) >= COUNT // 2).astype(np.int64))
     return try_step(
         SEQUENCE, Candidate.from_labels(components, labels, FACES, mesh_graph(FACES, COUNT)), 1e-3, chunk=16
     )

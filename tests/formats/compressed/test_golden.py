@@ -75,3 +75,17 @@ def test_the_golden_glb_has_text_and_streams_of_the_golden_file() -> None:
     glb, h5 = (GOLDEN / f"compressed-v1-between{suffix}" for suffix in (".glb", ".h5"))
     assert read_container(glb) == read_container(h5)
     np.testing.assert_array_equal(mixseq.load(glb).sample().points, mixseq.load(h5).sample().points)
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".glb"])
+def test_golden_bodies_still_decode_to_the_same_points(suffix: str) -> None:
+    path = GOLDEN / "compressed-v1-bodies"
+    model = mixseq.load(path.with_suffix(suffix))
+    with np.load(path.with_suffix(".npz")) as expected:
+        assert model.body_names == ("bar", "shuffled", "finer")
+        for name in model.body_names:
+            points = model.body(name).sample(frames=expected["frames"].tolist()).points
+            np.testing.assert_allclose(points, expected[name], atol=1e-9)
+    _, shuffled, finer = model.relations
+    assert (shuffled.same_parts, finer.same_parts) == (False, True)
+    assert finer.turn == pytest.approx((0.5**0.5, 0.0, 0.5**0.5, 0.0))
