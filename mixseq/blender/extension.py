@@ -108,12 +108,7 @@ def download_wheels(folder: Path, release: Release, platform: str) -> list[Path]
 ADDON_FOLDER = Path(__file__).parent / "addon"
 
 PLATFORMS = {
-    "linux-x64": (
-        "manylinux_2_28_x86_64",
-        "manylinux_2_27_x86_64",
-        "manylinux_2_17_x86_64",
-        "manylinux2014_x86_64",
-    ),
+    "linux-x64": ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux_2_17_x86_64", "manylinux2014_x86_64"),
     "macos-arm64": ("macosx_14_0_arm64",),
     "windows-x64": ("win_amd64",),
 }

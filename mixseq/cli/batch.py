@@ -40,9 +40,9 @@ from mixseq.cli.batch_report import (
     size_and_hash,
     write_report,
 )
-from mixseq.cli.files import VAT_EXTENSION, Claim, check_options, decoded, overwriting
+from mixseq.cli.files import VAT_EXTENSION, Claim, check_options, decoded
 from mixseq.cli.group import print_table, progress_bar, say
-from mixseq.cli.options import READING_OPTIONS
+from mixseq.cli.options import READING_OPTIONS, argument, option, setting
 from mixseq.errors import FormatError, GivenUpError, MissingFileError, MixseqError, MixseqWarning, OutputError
 from mixseq.runtime.progress import Progress, log_progress
 
@@ -353,29 +353,23 @@ def _extension(text: str) -> str:
     return extension
 
 
-@click.command(
+@options.command(
     "batch",
+    "mixseq batch encode shots/*.usdc --out models",
+    "mixseq batch convert shots --out caches --format abc",
+    "mixseq batch encode shots --out models --cluster tcp://host:8786",
     cls=BatchCommand,
-    epilog=options.examples(
-        "mixseq batch encode shots/*.usdc --out models",
-        "mixseq batch convert shots --out caches --format abc",
-        "mixseq batch encode shots --out models --cluster tcp://host:8786",
+    job=argument(type=click.Choice(list(JOBS))),
+    assets=argument(nargs=-1, required=True),
+    out=option("--out FOLDER", "Folder for the files and the report.", required=True),
+    extension=option(
+        "--format EXTENSION",
+        "Format of the files: usdc, abc, glb, ...  [default: h5 of encode and edit, usdc of decode, npz of "
+        "segment, else as the asset]",
+        type=_extension,
     ),
+    force=setting("--force", "Do everything again, also what is done."),
 )
-@click.argument("job", type=click.Choice(list(JOBS)))
-@options.argument("assets", nargs=-1, required=True)
-@options.option("--out FOLDER", required=True, help="Folder for the files and the report.")
-@options.option(
-    "--format EXTENSION",
-    "extension",
-    type=_extension,
-    help="Format of the files: usdc, abc, glb, ...  [default: h5 of encode and edit, usdc of decode, npz of segment, "
-    "else as the asset]",
-)
-@options.setting("--force", is_flag=True, help="Do everything again, also what is done.")
-@options.workers
-@overwriting
-@options.quiet
 def command(
     job: str,
     assets: tuple[Path, ...],

@@ -15,10 +15,10 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal
 
-from mixseq.cli.files import animations_of, is_model, options_of
+from mixseq.cli.files import ALL_ANIMATIONS, animations_of, is_model, options_of
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.group import format_bytes, length_text, printable
-from mixseq.cli.options import ALL_ANIMATIONS, READING_OPTIONS
+from mixseq.cli.options import READING_OPTIONS
 from mixseq.errors import FormatError, MissingFileError, MixseqWarning, OutputError
 from mixseq.version import __version__
 

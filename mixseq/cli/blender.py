@@ -7,8 +7,9 @@ from pathlib import Path
 import click
 
 from mixseq.cli import options
-from mixseq.cli.files import Claim, overwriting
+from mixseq.cli.files import Claim
 from mixseq.cli.group import announce
+from mixseq.cli.options import option, setting
 
 PLATFORMS = ("linux-x64", "macos-arm64", "windows-x64")
 RELEASES = ("4.2", "5.1")
@@ -18,25 +19,26 @@ RELEASES = ("4.2", "5.1")
     "blender",
     "mixseq blender --out extensions",
     "mixseq blender --set blender=5.1 --set platform=windows-x64",
+    out=option(
+        "--out",
+        "Folder for the extension, made if missing.  [default: this one]",
+        type=options.FILE_PATH,
+        default=Path(),
+        show_default=False,
+    ),
+    platforms=setting(
+        "--platform",
+        "Where Blender runs; may be given several times.  [default: as here]",
+        type=click.Choice(PLATFORMS),
+        multiple=True,
+    ),
+    release=setting(
+        "--blender",
+        "Oldest version: 4.2 is for those to 5.0, which have Python 3.11.",
+        type=click.Choice(RELEASES),
+        default=RELEASES[0],
+    ),
 )
-@options.out_folder(
-    default=Path(), show_default=False, help="Folder for the extension, made if missing.  [default: this one]"
-)
-@options.setting(
-    "--platform",
-    "platforms",
-    type=click.Choice(PLATFORMS),
-    multiple=True,
-    help="Where Blender runs; may be given several times.  [default: as here]",
-)
-@options.setting(
-    "--blender",
-    "release",
-    type=click.Choice(RELEASES),
-    default=RELEASES[0],
-    help="Oldest version: 4.2 is for those to 5.0, which have Python 3.11.",
-)
-@overwriting
 def command(out: Path, platforms: tuple[str, ...], release: str, claim: Claim) -> None:
     """Write an extension with which Blender shows models, live.
 

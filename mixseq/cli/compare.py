@@ -11,6 +11,7 @@ import mixseq
 from mixseq.cli import options
 from mixseq.cli.files import at_times_of, between_row, check_options, counted, is_model, options_of
 from mixseq.cli.group import length_text, print_json, print_table, progress_bar, say
+from mixseq.cli.options import argument, option
 from mixseq.errors import MixseqWarning
 from mixseq.sequence.frame_rates import FRAME_ROUNDING, format_frame, time_to_number
 
@@ -20,17 +21,17 @@ if TYPE_CHECKING:
     from mixseq.sequence.header import SequenceHeader
 
 
-@options.command("compare", "mixseq compare walk.usdc decoded.usdc", "mixseq compare walk.usdc walk.h5 --json")
-@options.argument("reference")
-@options.argument("other")
-@options.option(
-    "--between-frames",
-    is_flag=True,
-    help="Also measure OTHER between its frames, as it is played; fits a model of REFERENCE if it has only points.",
+@options.command(
+    "compare",
+    "mixseq compare walk.usdc decoded.usdc",
+    "mixseq compare walk.usdc walk.h5 --json",
+    reference=argument(),
+    other=argument(),
+    between_frames=option(
+        "--between-frames",
+        "Also measure OTHER between its frames, as it is played; fits a model of REFERENCE if it has only points.",
+    ),
 )
-@options.as_json
-@options.reading
-@options.quiet
 def command(
     reference: Path, other: Path, between_frames: bool, as_json: bool, reading: dict[str, Any], quiet: bool
 ) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import Claim, counted, each_animation, overwriting, select_frames, write_sequence
+from mixseq.cli.files import Claim, counted, each_animation, select_frames, write_sequence
 from mixseq.cli.group import announce, progress_bar
 
 
@@ -17,15 +17,9 @@ from mixseq.cli.group import announce, progress_bar
     "mixseq convert walk.usdc walk_####.obj",
     "mixseq convert shot.abc part.abc --frames 1005-1010",
     "mixseq convert fox.glb run.glb --set animation=Run",
+    frames=options.frames("Only these frames, by their numbers.  [default: all]"),
 )
 @each_animation
-@options.argument("source")
-@options.argument("target")
-@options.frames(help="Only these frames, by their numbers.  [default: all]")
-@options.reading
-@options.writing
-@overwriting
-@options.quiet
 def command(
     source: Path,
     target: Path,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +12,19 @@ import click
 
 import mixseq
 from mixseq.cli import files, options
-from mixseq.cli.group import announce, format_bytes, length_text, print_table, progress_bar
-from mixseq.cli.options import in_diagonals
+from mixseq.cli.group import announce, format_bytes, in_diagonals, length_text, print_table, progress_bar
+from mixseq.cli.options import (
+    NON_NEGATIVE_INTEGER,
+    POSITIVE_INTEGER,
+    POSITIVE_NUMBER,
+    Group,
+    Setting,
+    argument,
+    flag,
+    length,
+    option,
+    setting,
+)
 from mixseq.errors import MixseqError, MixseqWarning, NoMeshError, SettingsError
 from mixseq.sequence.frame_rates import format_rate, snap_to_ntsc
 
@@ -51,8 +62,8 @@ def _check_rig(kind: str | None) -> None:
     if kind == "skin" and len(choices) > 1:
         raise SettingsError(f"{choices[0]} and {choices[1]} both choose the bones; give one of them")
     for name, what in _UNSUPPORTED_BY_RIGS.items() if kind else ():
-        for option in options.given_options(name):
-            raise SettingsError(f"a {kind} has no place for {what}; leave out {option}, or --as")
+        for spelling in options.given_options(name):
+            raise SettingsError(f"a {kind} has no place for {what}; leave out {spelling}, or --as")
 
 
 def _fit_rig(
@@ -147,10 +158,7 @@ def texture_rows(report: VatReport, diagonal: float) -> list[tuple[str, str]]:
     """Return table rows about sizes and errors of textures; `diagonal` is in metres."""
     kind = report.kind if not report.rank else f"{report.kind}, {report.rank} basis vectors"
     return [
-        (
-            "textures",
-            f"{kind}: {format_bytes(report.file_bytes)}, in memory {format_bytes(report.memory_bytes)}",
-        ),
+        ("textures", f"{kind}: {format_bytes(report.file_bytes)}, in memory {format_bytes(report.memory_bytes)}"),
         ("max error", length_text(report.max_error, diagonal)),
         ("rms error", length_text(report.rms_error, diagonal)),
         *files.between_row(report.between_error, diagonal),
@@ -177,68 +185,53 @@ def _seconds(text: str) -> tuple[float, ...]:
     "mixseq decode walk.abc walk.glb --as morph --max-error 0.001",
     "mixseq decode walk.h5 walk.vat --max-error 0.001",
     "mixseq decode herd.h5 'out/{body}.usdc'",
-)
-@options.argument("source", metavar="MODEL")
-@options.argument("target")
-@options.group(
-    "frame_options",
-    options.fps(help="Frames per second.  [default: the original frames]"),
-    options.option("--times S,S,...", type=_seconds, help="Decode exactly these times, in seconds."),
-    options.frames(
-        help="Only these frames of the model, by their numbers; with --fps from the first to the last of them."
+    source=argument(metavar="MODEL"),
+    frame_options=Group(
+        options.fps("Frames per second.  [default: the original frames]"),
+        option("--times S,S,...", "Decode exactly these times, in seconds.", type=_seconds),
+        options.frames(
+            "Only these frames of the model, by their numbers; with --fps from the first to the last of them."
+        ),
+        option("--start S", "First time in seconds.  [default: that of the model]", type=float),
+        option("--end S", "Last time in seconds.  [default: that of the model]", type=float),
     ),
-    options.option("--start S", type=float, help="First time in seconds.  [default: that of the model]"),
-    options.option("--end S", type=float, help="Last time in seconds.  [default: that of the model]"),
-)
-@options.setting(
-    "--between",
-    type=click.Choice(["auto", "vertices"]),
-    default="auto",
-    help="Motion between frames: the model's, or along splines of vertices, as players show compressed models.",
-)
-@options.body(help="Body to decode, of a model with several; {body} in TARGET decodes all, to files by their names.")
-@options.velocities()
-@options.option(
-    "--as",
-    "kind",
-    type=click.Choice(["skin", "morph"]),
-    help="Write glTF or USD for engines: a skin over moving bones, or a mesh with few morph targets.",
-)
-@options.group(
-    "rig",
-    options.setting("--bones N", type=options.POSITIVE_INTEGER, help="Number of bones of a skin."),
-    options.setting("--skeleton FILE", help="glTF or USD file with the bones of a skin."),
-    options.option(
-        "--kg P",
-        type=options.POSITIVE_NUMBER,
-        help="Give a skin as few bones as reach this KG error, in percent.",
+    between=setting(
+        "--between",
+        "Motion between frames: the model's, or along splines of vertices, as players show compressed models.",
+        type=click.Choice(["auto", "vertices"]),
+        default="auto",
     ),
-    options.length(
-        "--correctives E",
-        cls=options.Setting,
-        help="Correct a skin by morph targets, up to this largest error.",
+    body=options.body(
+        "Body to decode, of a model with several; {body} in TARGET decodes all, to files by their names."
     ),
-    options.length(
-        "--max-error E",
-        help="Largest error of a skin's bones, of a morph or of textures, as a fraction of the bounding box's "
-        "diagonal, or 0.5mm; a morph without it is exact.",
+    kind=option(
+        "--as",
+        "Write glTF or USD for engines: a skin over moving bones, or a mesh with few morph targets.",
+        type=click.Choice(["skin", "morph"]),
     ),
-    options.flag(
-        "--between-frames",
-        help="Keep --max-error between frames, too, at quarters of a frame of TARGET, with up to 8 times the frames.",
+    rig=Group(
+        setting("--bones N", "Number of bones of a skin.", type=POSITIVE_INTEGER),
+        setting("--skeleton FILE", "glTF or USD file with the bones of a skin."),
+        option("--kg P", "Give a skin as few bones as reach this KG error, in percent.", type=POSITIVE_NUMBER),
+        length("--correctives E", "Correct a skin by morph targets, up to this largest error.", cls=Setting),
+        length(
+            "--max-error E",
+            "Largest error of a skin's bones, of a morph or of textures, as a fraction of the bounding box's "
+            "diagonal, or 0.5mm; a morph without it is exact.",
+        ),
+        flag(
+            "--between-frames",
+            "Keep --max-error between frames, too, at quarters of a frame of TARGET, with up to 8 times the frames.",
+        ),
+        setting("--max-targets N", "Number of morph targets at most.", type=NON_NEGATIVE_INTEGER),
     ),
-    options.setting("--max-targets N", type=options.NON_NEGATIVE_INTEGER, help="Number of morph targets at most."),
+    texture=setting(
+        "--texture",
+        "Of vertex animation textures (TARGET is a folder .vat): PNG with 16 bits, or EXR.",
+        type=click.Choice(["png16", "exr"]),
+        default="png16",
+    ),
 )
-@options.setting(
-    "--texture",
-    type=click.Choice(["png16", "exr"]),
-    default="png16",
-    help="Of vertex animation textures (TARGET is a folder .vat): PNG with 16 bits, or EXR.",
-)
-@options.writing
-@options.workers
-@files.overwriting
-@options.quiet
 def command(
     source: Path,
     target: Path,
@@ -250,7 +243,7 @@ def command(
     rig: dict[str, Any],
     texture: TextureName,
     writing: dict[str, Any],
-    workers: AbstractContextManager[Executor],
+    workers: options.Workers,
     claim: files.Claim,
     quiet: bool,
 ) -> None:
@@ -293,7 +286,9 @@ def command(
                 model = _load(source, between, name, progress)
                 header = _header_of_frames(model, **frame_options)
                 files.write_frames(path, model, header, velocities, writing, progress, work)
-                tables.append([] if quiet else _rows_of_frames(path, header, model, writing))
+                tables.append(
+                    [] if quiet else files.time_rows(header) + files.between_rows(path, header, model.blocks, writing)
+                )
                 continue
             sequence, frames = _frames_to_fit(source, frame_options, between, name, progress, work, opened)
             files.check_origin(path, sequence)
@@ -316,13 +311,6 @@ def command(
         if not quiet:
             print_table(table)
         announce(path)
-
-
-def _rows_of_frames(
-    path: Path, header: SequenceHeader, model: Decodable, writing: Mapping[str, Any]
-) -> list[tuple[str, str]]:
-    """Return table rows about the frames of a model in a file."""
-    return files.time_rows(header) + files.between_rows(path, header, model.blocks, writing)
 
 
 def _load(source: Path, between: BetweenName, body: str | None, progress: Progress) -> Decodable:

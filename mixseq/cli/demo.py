@@ -11,16 +11,18 @@ import click
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import Claim, at_times_of, overwriting, read_sequence
+from mixseq.cli.files import Claim, at_times_of, read_sequence
 from mixseq.cli.group import announce, length_text, print_table, progress_bar
 from mixseq.cli.info import dimension_rows
+from mixseq.cli.options import option
 
 
-@options.command("demo", "mixseq demo --out fox --frames 24")
-@options.out_folder(default=Path("mixseq-demo"))
-@options.option("--frames N", type=click.IntRange(min=2), default=48, help="Frames of the walk.")
-@overwriting
-@options.quiet
+@options.command(
+    "demo",
+    "mixseq demo --out fox --frames 24",
+    out=options.out_folder(default=Path("mixseq-demo")),
+    frames=option("--frames N", "Frames of the walk.", type=click.IntRange(min=2), default=48),
+)
 def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
     """Encode and decode a walking fox, and compare.
 
@@ -62,10 +64,7 @@ def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
                 ("vertices", f"{original.vertex_count:,}"),
                 ("frames", f"{original.frame_count} encoded, {doubled.frame_count} decoded"),
                 *dimension_rows(model),
-                (
-                    "max error",
-                    length_text(error.max_error, error.diagonal * original.metres_per_unit, digits=2),
-                ),
+                ("max error", length_text(error.max_error, error.diagonal * original.metres_per_unit, digits=2)),
                 ("KG error", f"{error.kg_percent:.2g} %"),
                 ("seconds", ", ".join(f"{time:.1f} to {step}" for step, time in seconds.items())),
             ]

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import MODEL_EXTENSIONS, Claim, check_target, history_rows, load_or_fit, overwriting, write_frames
+from mixseq.cli.files import MODEL_EXTENSIONS, Claim, check_target, history_rows, load_or_fit, write_frames
 from mixseq.cli.group import announce, print_table, progress_bar
+from mixseq.cli.options import argument, option, setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     from mixseq.operations.script import Edit
-    from mixseq.runtime.parallel import Executor
     from mixseq.signals.model import Model
 
 
@@ -41,27 +40,22 @@ A script has a table for every edit:
     "mixseq edit run.h5 attack.h5 --script attack.toml",
     "mixseq edit walk.h5 long.usdc --script edits.toml --fps 48",
     before=SCRIPT_HELP,
+    source=argument(metavar="SOURCE"),
+    target=argument(metavar="OUT"),
+    script=option("--script FILE", "The edits, a TOML file.", required=True),
+    folders=setting(
+        "--files-from FOLDER",
+        "Let the script read files in this folder, too, besides its own; may be given several times.",
+        multiple=True,
+    ),
+    travel=setting(
+        "--travel FILE",
+        "Also write what in_place takes away, for engines to move the character by: a CSV file of seconds,x,y,z.",
+    ),
+    body=options.body("Body of a model with several that edits see, and that OUT shows first.  [default: its first]"),
+    fps=options.fps("Frames per second, where OUT is a sequence.  [default: the frames of the model]"),
+    velocities=options.velocities("Also write the velocities of all vertices, where OUT is a sequence."),
 )
-@options.argument("source", metavar="SOURCE")
-@options.argument("target", metavar="OUT")
-@options.option("--script FILE", required=True, help="The edits, a TOML file.")
-@options.setting(
-    "--files-from FOLDER",
-    "folders",
-    multiple=True,
-    help="Let the script read files in this folder, too, besides its own; may be given several times.",
-)
-@options.setting(
-    "--travel FILE",
-    help="Also write what in_place takes away, for engines to move the character by: a CSV file of seconds,x,y,z.",
-)
-@options.body(help="Body of a model with several that edits see, and that OUT shows first.  [default: its first]")
-@options.fps(help="Frames per second, where OUT is a sequence.  [default: the frames of the model]")
-@options.velocities(help="Also write the velocities of all vertices, where OUT is a sequence.")
-@options.writing
-@options.workers
-@overwriting
-@options.quiet
 def command(
     source: Path,
     target: Path,
@@ -72,7 +66,7 @@ def command(
     fps: float | None,
     velocities: bool,
     writing: dict[str, Any],
-    workers: AbstractContextManager[Executor],
+    workers: options.Workers,
     claim: Claim,
     quiet: bool,
 ) -> None:
@@ -93,8 +87,7 @@ def command(
     as_model = target.suffix.lower() in MODEL_EXTENSIONS
     if as_model:
         options.refuse(
-            *("fps", "velocities", *writing),
-            why="is for sequences; OUT is a model, decode or resample it then",
+            *("fps", "velocities", *writing), why="is for sequences; OUT is a model, decode or resample it then"
         )
     claim(target, travel)
 

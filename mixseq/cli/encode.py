@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -13,15 +12,22 @@ import click
 import mixseq
 from mixseq.choices import ORDERS, STILLS, StillName
 from mixseq.cli import files, options
-from mixseq.cli.group import announce, as_bytes, length_text, print_table, progress_bar
+from mixseq.cli.group import (
+    announce,
+    as_bytes,
+    in_diagonals,
+    in_diagonals_of_all,
+    length_text,
+    print_table,
+    progress_bar,
+)
 from mixseq.cli.info import bytes_of_frames, coding_facts, coding_rows, dimension_rows, size_row
-from mixseq.cli.options import in_diagonals, in_diagonals_of_all
+from mixseq.cli.options import NON_NEGATIVE_INTEGER, POSITIVE_NUMBER, Group, flag, length, option, setting
 from mixseq.errors import OutputError, SettingsError
 
 if TYPE_CHECKING:
     from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
     from mixseq.metrics import Comparison
-    from mixseq.runtime.parallel import Executor
     from mixseq.runtime.progress import Progress
     from mixseq.signals.model import Model
     from mixseq_io.reader import SequenceReader
@@ -53,43 +59,41 @@ def _aim(uvs: bool = True, inbetweens: bool = True, between_frames: bool = False
     return parameters | {name: False for name, is_on in switches.items() if not is_on}
 
 
-aiming = options.group(
-    "aim",
-    options.length(
+aiming = Group(
+    length(
         "--max-error X",
-        help="Compress: no vertex of any frame is farther off than this fraction of the bounding box's diagonal, or "
-        "0.5mm.",
+        "Compress: no vertex of any frame is farther off than this fraction of the bounding box's diagonal, or 0.5mm.",
     ),
-    options.flag(
+    flag(
         "--between-frames",
-        help="Keep --max-error between frames, too: players are as near to the model, at quarters of a frame.",
+        "Keep --max-error between frames, too: players are as near to the model, at quarters of a frame.",
     ),
-    options.option("--kg X", type=options.POSITIVE_NUMBER, help="Compress, to a KG error of X percent."),
-    options.option("--size SIZE", type=as_bytes, help="Compress into 2MB, 500kB, 1.5MiB, ..."),
-    options.setting(
+    option("--kg X", "Compress, to a KG error of X percent.", type=POSITIVE_NUMBER),
+    option("--size SIZE", "Compress into 2MB, 500kB, 1.5MiB, ...", type=as_bytes),
+    setting(
         "--uv-error X",
+        "Compressed: u and v are off by X at most, 0 keeps all bits.  [default: 1/16 texel of 4096]",
         type=click.FloatRange(min=0, max=0.25),
-        help="Compressed: u and v are off by X at most, 0 keeps all bits.  [default: 1/16 texel of 4096]",
     ),
-    options.setting(
+    setting(
         "--order",
+        "Compressed: what keeps its numbers, vertices and faces, vertices only, or neither.  [default: keep]",
         type=click.Choice(ORDERS),
-        help="Compressed: what keeps its numbers, vertices and faces, vertices only, or neither.  [default: keep]",
     ),
-    options.setting(
+    setting(
         "--chunk N",
+        "Compressed: about N frames can be decoded without others.  [default: 512]",
         type=click.IntRange(min=16),
-        help="Compressed: about N frames can be decoded without others.  [default: 512]",
     ),
-    options.setting("--uvs/--no-uvs", default=True, help="Compressed: keep texture coordinates."),
-    options.setting(
+    setting("--uvs/--no-uvs", "Compressed: keep texture coordinates.", default=True),
+    setting(
         "--inbetweens/--no-inbetweens",
+        "Compressed: fit a model, so that players show its motion between frames; takes as long as a fit.",
         default=True,
-        help="Compressed: fit a model, so that players show its motion between frames; takes as long as a fit.",
     ),
-    make=_aim,
+    gather=_aim,
 )
-"""Options for targets of compression; the argument ``aim`` gets the parameters of `mixseq.compress`."""
+"""Options for targets of compression, as parameters of `mixseq.compress`."""
 
 
 def compressed(
@@ -118,33 +122,22 @@ def compressed(
     "mixseq encode walk.usdc small.h5 --max-error 0.5mm",
     "mixseq encode walk.usdc small.h5 --size 200kB",
     "mixseq encode walk.usdz walk.glb --max-error 0.001",
+    aim=aiming,
+    knots=setting(
+        "--knots N",
+        "Number of inner knots of all curves over time.  [default: as the tolerance needs, else all]",
+        type=NON_NEGATIVE_INTEGER,
+    ),
+    still=setting(
+        "--still",
+        "Of a .glb: the first frame for other viewers, by Draco, as float32, or left out.  [default: draco]",
+        type=click.Choice(STILLS),
+    ),
+    check=option(
+        "--check/--no-check", "Decode all frames of the finished model and compare them with SOURCE.", default=False
+    ),
 )
 @files.each_animation
-@options.argument("source")
-@options.argument("target")
-@aiming
-@options.fitting
-@options.timing
-@files.labelling
-@options.setting(
-    "--knots N",
-    type=options.NON_NEGATIVE_INTEGER,
-    help="Number of inner knots of all curves over time.  [default: as the tolerance needs, else all]",
-)
-@options.setting(
-    "--still",
-    type=click.Choice(STILLS),
-    help="Of a .glb: the first frame for other viewers, by Draco, as float32, or left out.  [default: draco]",
-)
-@options.option(
-    "--check/--no-check",
-    default=False,
-    help="Decode all frames of the finished model and compare them with SOURCE.",
-)
-@options.workers
-@options.reading
-@files.overwriting
-@options.quiet
 def command(
     source: Path,
     target: Path,
@@ -155,7 +148,7 @@ def command(
     knots: int | None,
     still: StillName | None,
     check: bool,
-    workers: AbstractContextManager[Executor],
+    workers: options.Workers,
     reading: dict[str, Any],
     claim: files.Claim,
     quiet: bool,

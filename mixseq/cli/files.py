@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.cli import options
 from mixseq.cli.group import length_text, printable
 from mixseq.errors import OutputError, SettingsError
 from mixseq.runtime.progress import Progress
@@ -46,6 +45,9 @@ _ORDER_MESSAGES = {
     "free": "vertices and faces have other numbers than the original's",
 }
 """Messages about values of ``order`` that renumber vertices or faces."""
+
+ALL_ANIMATIONS = "all"
+"""Choice of a file for every animation."""
 
 MODEL_EXTENSIONS, GLB_EXTENSION = (".h5", ".hdf5"), ".glb"
 VAT_EXTENSION = ".vat"
@@ -174,10 +176,7 @@ def time_rows(header: SequenceHeader) -> list[tuple[str, str]]:
 
 
 def between_rows(
-    path: Path,
-    header: SequenceHeader,
-    points_at: Callable[[Float], Iterable[FloatArray]],
-    writing: Mapping[str, Any],
+    path: Path, header: SequenceHeader, points_at: Callable[[Float], Iterable[FloatArray]], writing: Mapping[str, Any]
 ) -> list[tuple[str, str]]:
     """Return a table row about the error between frames of a written glTF file, as players show it.
 
@@ -397,7 +396,8 @@ class Claim:
             raise OutputError(f"{exist}; give another name, or --overwrite")
 
 
-def _claim(overwrite: bool | None = None) -> Claim:
+def claim_of_command(overwrite: bool | None = None) -> Claim:
+    """Return the claim of the running command."""
     context = click.get_current_context()
     if context.obj is not None:  # of a batch, to know options before the work
         of_batch: Claim = context.obj
@@ -405,18 +405,6 @@ def _claim(overwrite: bool | None = None) -> Claim:
     given = context.params
     files = _paths(value for name, value in given.items() if name not in _FOLDER_PARAMETERS)
     return Claim(overwrite, tuple(files), bool(given.get("clips")))
-
-
-overwriting = options.group(
-    "claim",
-    options.option(
-        "--overwrite/--no-overwrite",
-        default=None,
-        help="Replace files that exist, or refuse to.  [default: ask, on a terminal]",
-    ),
-    make=_claim,
-)
-"""Option ``--overwrite``; the argument ``claim`` gets a `Claim`, to be called before the work."""
 
 
 def on_terminal() -> bool:
@@ -487,23 +475,6 @@ class LabelChoice:
         return self.read(reader, reading).part_of_face
 
 
-labelling = options.group(
-    "labels",
-    options.option(
-        "--labels FILE",
-        help="Parts from labels of the faces made elsewhere: npz, or the same mesh in USD, OBJ, PLY, glTF, ...",
-    ),
-    options.option(
-        "--source NAME",
-        "label_source",
-        help="Which labels in that file, or else in the sequence's own: labels, groups, materials, colours, skeleton, "
-        "or a family of USD subsets.  [default: the only ones]",
-    ),
-    make=LabelChoice,
-)
-"""Options for labels from other programs; the argument ``labels`` gets a `LabelChoice`."""
-
-
 def first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
     """Read the first frame of a file; of glTF, whose animations rarely begin at rest, always the unanimated pose."""
     from mixseq.sequence.sequence import MeshSequence
@@ -526,15 +497,15 @@ def animations_of(path: Path) -> dict[str, str]:
     return animation_choices(path)
 
 
-def each_animation(command: options.Command) -> options.Command:
+def each_animation(command: Callable[..., None]) -> Callable[..., None]:
     """Decorate a command to run once for every animation of SOURCE with ``--animation all``."""
 
     @wraps(command)
     def run(**values: Any) -> None:
-        if values["animation"] != options.ALL_ANIMATIONS:
+        reading, source, target, claim = (values[name] for name in ("reading", "source", "target", "claim"))
+        if reading.get("animation") != ALL_ANIMATIONS:
             command(**values)
             return
-        source, target = values["source"], values["target"]
         choices = animations_of(source)
         if not choices:
             raise SettingsError(f"{source} has no animations to choose from; leave out --animation all")
@@ -543,11 +514,11 @@ def each_animation(command: options.Command) -> options.Command:
         targets = {
             choice: target.with_name(f"{before}{label and '-'}{label}{after}") for label, choice in choices.items()
         }
-        Claim(values["overwrite"], (source,))(*targets.values())
-        parameters = click.get_current_context().params  # also read by `_claim`
+        replace(claim, given=(source,))(*targets.values())
         for choice, path in targets.items():
-            parameters |= {"animation": choice, "target": path, "overwrite": True}
-            command(**parameters)
+            given = tuple(path if file is target else file for file in claim.given)
+            of_path = replace(claim, overwrite=True, given=given)
+            command(**values | {"reading": reading | {"animation": choice}, "target": path, "claim": of_path})
 
     return run
 

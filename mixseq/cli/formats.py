@@ -8,12 +8,17 @@ import click
 
 from mixseq.cli import options
 from mixseq.cli.group import print_table
+from mixseq.cli.options import setting
 
 Table = Sequence[Sequence[str]]
 
 
-@options.command("formats", "mixseq formats", "mixseq formats --set markdown=yes")
-@options.setting("--markdown", is_flag=True, help="Print the tables in Markdown.")
+@options.command(
+    "formats",
+    "mixseq formats",
+    "mixseq formats --set markdown=yes",
+    markdown=setting("--markdown", "Print the tables in Markdown."),
+)
 def command(markdown: bool) -> None:
     """List the file formats, with the data that each can hold, the motion that is read from it, and its options."""
     from mixseq_io.registry import capability_table, motion_table

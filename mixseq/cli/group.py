@@ -31,7 +31,7 @@ from functools import partial
 from importlib import import_module
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -40,6 +40,9 @@ from mixseq.errors import MixseqError, MixseqWarning, SettingsError
 from mixseq.runtime.interrupts import signals_as_exceptions
 from mixseq.runtime.parallel import environment
 from mixseq.runtime.progress import Progress, forward_warnings, log_progress
+
+if TYPE_CHECKING:
+    from mixseq.sequence.sequence import Frames
 
 _CONTROL_CHARACTERS = re.compile(
     "[\x00-\x1f\x7f-\x9f"  # C0, DEL and C1
@@ -82,16 +85,12 @@ def print_table(rows: Iterable[Sequence[str]], heading: Sequence[str] | None = N
         widths[column] -= 1
         spare[column] -= 1
     for line in lines:
-        wrapped = [_wrap(cell, width) for cell, width in zip(line, widths, strict=True)]
+        wrapped = [  # between words; paths stay whole
+            textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False) if len(cell) > width else [cell]
+            for cell, width in zip(line, widths, strict=True)
+        ]
         for cells in zip_longest(*wrapped, fillvalue=""):
             say("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)).rstrip())
-
-
-def _wrap(cell: str, width: int) -> list[str]:
-    """Divide a cell into lines between its words; paths stay whole."""
-    if len(cell) <= width:
-        return [cell]
-    return textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False)
 
 
 def _print_rich(rows: list[list[str]], heading: Sequence[str] | None) -> None:
@@ -157,6 +156,47 @@ def length_text(fraction: float, diagonal: float, digits: int = 4) -> str:
     return f"{fraction:.{digits}g} diagonals ({metres / UNITS[unit]:.3g} {unit})"
 
 
+_LENGTH_PATTERN = re.compile(rf"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?)\s*({'|'.join(UNITS)}|)", re.IGNORECASE)
+
+
+def parse_length(text: str) -> float | str:
+    """Parse an option value: return a fraction of the diagonal as a number, a length with a unit as text.
+
+    >>> parse_length("1e-3"), parse_length("0.5 mm")
+    (0.001, '0.5mm')
+    """
+    match = _LENGTH_PATTERN.fullmatch(text.strip())
+    if not match or not 0.0 < float(match[1]) < float("inf"):
+        raise click.BadParameter(f"{text!r} is not a length above 0, such as 0.001 (of the diagonal) or 0.5mm")
+    return f"{match[1]}{match[2].lower()}" if match[2] else float(match[1])
+
+
+def in_diagonals(settings: Mapping[str, Any], frames: Frames, *names: str) -> dict[str, Any]:
+    """Return settings with the named lengths converted to fractions of a sequence's unit of errors."""
+    from mixseq.sequence.sequence import reference_diagonal
+
+    converted = dict(settings)
+    for name in names:
+        length = settings.get(name)
+        match = _LENGTH_PATTERN.fullmatch(length) if isinstance(length, str) else None
+        if match is None:
+            continue
+        diagonal = reference_diagonal(frames.blocks(1)).length * frames.header.metres_per_unit
+        if not diagonal > 0.0:
+            raise SettingsError(
+                f"{frames.header.name!r} has no size in any frame, so {length} is no fraction of it; give a "
+                "sequence that is larger than a point"
+            )
+        converted[name] = float(match[1]) * UNITS[match[2]] / diagonal
+    return converted
+
+
+def in_diagonals_of_all(settings: Mapping[str, Any], sequences: Iterable[Frames]) -> dict[str, Any]:
+    """Return settings with a length `max_error` converted to the smallest of its fractions of several sequences."""
+    converted = (in_diagonals(settings, frames, "max_error") for frames in sequences)
+    return min(converted, key=lambda settings: settings.get("max_error", 0.0))
+
+
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Progress]:
     """Show a progress bar if stderr is a terminal and `quiet` is not set."""
@@ -167,12 +207,7 @@ def progress_bar(quiet: bool) -> Iterator[Progress]:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=None)
 
@@ -191,12 +226,7 @@ MIN_ADDRESS_SPACE = 2000 << 20
 
 _THREAD_VARIABLES = ("MIXSEQ_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS")
 
-_OUT_OF_MEMORY_SIGNS = (
-    "can't start new thread",
-    "failed to map segment",
-    "Cannot allocate memory",
-    "libllvmlite",
-)
+_OUT_OF_MEMORY_SIGNS = ("can't start new thread", "failed to map segment", "Cannot allocate memory", "libllvmlite")
 """Parts of error messages that signal a lack of memory."""
 
 
@@ -263,12 +293,7 @@ max_memory = click.Option(
 class LazyGroup(click.Group):
     """Command group whose commands are the functions ``command`` in the modules of a package."""
 
-    def __init__(
-        self,
-        package: str,
-        sections: Mapping[str, tuple[str, ...]],
-        **settings: Any,
-    ) -> None:
+    def __init__(self, package: str, sections: Mapping[str, tuple[str, ...]], **settings: Any) -> None:
         super().__init__(**settings)
         self._package = package
         self._sections = sections
@@ -329,7 +354,9 @@ def exit_code(run: Callable[[], object]) -> int:
     except MixseqError as error:
         _say(f"error: {error}")
     except click.ClickException as error:
-        _say(f"error: {error.format_message()}{_hint(error)}")
+        context = error.ctx if isinstance(error, click.UsageError) else None
+        hint = f" (see {context.command_path} --help)" if context else ""
+        _say(f"error: {error.format_message()}{hint}")
     except (click.Abort, KeyboardInterrupt):
         _say("interrupted")
         return 130
@@ -344,11 +371,6 @@ def exit_code(run: Callable[[], object]) -> int:
     except MemoryError as error:
         _say(f"error: there is not enough memory {f'({error})' if str(error) else ''}")
     return 2
-
-
-def _hint(error: click.ClickException) -> str:
-    context = error.ctx if isinstance(error, click.UsageError) else None
-    return f" (see {context.command_path} --help)" if context else ""
 
 
 def _say(message: str) -> None:

@@ -13,6 +13,7 @@ import mixseq
 from mixseq.cli import options
 from mixseq.cli.files import history_rows, is_model, load_or_fit, options_of, read_sequence
 from mixseq.cli.group import format_bytes, length_text, print_json, print_table, progress_bar
+from mixseq.cli.options import argument, setting
 from mixseq.sequence.frame_rates import format_frames, format_rate, time_to_number
 
 if TYPE_CHECKING:
@@ -28,25 +29,22 @@ MAX_LIST_LENGTH = 240
 
 
 @options.command(
-    "info", "mixseq info walk.usdc", "mixseq info walk.h5 --json", "mixseq info run.h5 --set moments=walk.h5"
+    "info",
+    "mixseq info walk.usdc",
+    "mixseq info walk.h5 --json",
+    "mixseq info run.h5 --set moments=walk.h5",
+    path=argument(metavar="FILE"),
+    moments=setting(
+        "--moments FILE",
+        "Find where it is best left for another motion of its mesh, or for the same file, where it loops.",
+    ),
 )
-@options.argument("path", metavar="FILE")
-@options.setting(
-    "--moments FILE",
-    help="Find where it is best left for another motion of its mesh, or for the same file, where it loops.",
-)
-@options.as_json
-@options.reading
-@options.quiet
 def command(path: Path, moments: Path | None, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
     """Show the contents of a sequence or a model.
 
     For a sequence, only the first frame is read, unless moments are to be found.
     """
-    facts: dict[str, Any] = {
-        "file": str(path),
-        "bytes": {"total": path.stat().st_size if path.is_file() else None},
-    }
+    facts: dict[str, Any] = {"file": str(path), "bytes": {"total": path.stat().st_size if path.is_file() else None}}
     if is_model(path):
         from mixseq_io.model_files import is_compressed, read_compressed
 
@@ -142,20 +140,11 @@ def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
         ("container", "container"),
     ]
     motion = sizes["signals"] - sizes["surface"] - sizes["uvs"]
-    rates = [
-        ("signals", motion, coding["bits_of_motion"]),
-        ("total", sizes["total"], coding["bits"]["total"]),
-    ]
+    rates = [("signals", motion, coding["bits_of_motion"]), ("total", sizes["total"], coding["bits"]["total"])]
     rows = [
         *((name, f"{format_bytes(size)}, {rate:.3g} bits per vertex and frame") for name, size, rate in rates),
-        (
-            "of it",
-            ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in components if sizes[name]),
-        ),
-        (
-            "max error",
-            stated + length_text(coding["max_error"], coding["diagonal"] * metres_per_unit, digits=3),
-        ),
+        ("of it", ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in components if sizes[name])),
+        ("max error", stated + length_text(coding["max_error"], coding["diagonal"] * metres_per_unit, digits=3)),
         ("KG error", f"{coding['kg_percent']:.3g} %"),
     ]
     if coding["inbetween_error"] is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,15 +11,14 @@ import click
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import Claim, LabelChoice, labelling, overwriting, write_sequence
+from mixseq.cli.files import Claim, LabelChoice, write_sequence
 from mixseq.cli.group import announce, print_table, progress_bar
+from mixseq.cli.options import argument, option
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-    from mixseq.runtime.parallel import Executor
 
 
 class Pose(NamedTuple):
@@ -48,28 +46,20 @@ def pose_of(text: str) -> Pose:
     "mixseq interpolate lion.npz half.obj --pose 2=0.5 --pose 5=0.5",
     "mixseq interpolate lion.npz mean.ply --pose 0=1/3 --pose 2=1/3 --pose 5=1/3 --space edge",
     "mixseq interpolate lion.npz morph.usdc --pose 2 --pose 5 --steps 24",
+    source=argument(metavar="IN"),
+    target=argument(metavar="OUT"),
+    poses=option(
+        "--pose FRAME[=WEIGHT]",
+        "A frame of IN, counted from 0, and its weight; give several. The weights add up to one.",
+        type=pose_of,
+        multiple=True,
+    ),
+    steps=option(
+        "--steps N",
+        "Write N frames from one pose to another, two without weights, instead of one blend.",
+        type=click.IntRange(min=2),
+    ),
 )
-@options.argument("source", metavar="IN")
-@options.argument("target", metavar="OUT")
-@options.option(
-    "--pose FRAME[=WEIGHT]",
-    "poses",
-    type=pose_of,
-    multiple=True,
-    help="A frame of IN, counted from 0, and its weight; give several. The weights add up to one.",
-)
-@options.option(
-    "--steps N",
-    type=click.IntRange(min=2),
-    help="Write N frames from one pose to another, two without weights, instead of one blend.",
-)
-@options.making
-@labelling
-@options.reading
-@options.writing
-@options.workers
-@overwriting
-@options.quiet
 def command(
     source: Path,
     target: Path,
@@ -79,7 +69,7 @@ def command(
     labels: LabelChoice,
     reading: dict[str, Any],
     writing: dict[str, Any],
-    workers: AbstractContextManager[Executor],
+    workers: options.Workers,
     claim: Claim,
     quiet: bool,
 ) -> None:

@@ -6,17 +6,21 @@ Rare options are settings: ``--joint-width 2`` can be written ``--set joint_widt
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from functools import partial, wraps
+from functools import partial
+from inspect import signature
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
-from mixseq.choices import BETWEENS, PLACEMENTS, PROJECTIONS, SEGMENTATIONS, SPACES, UNITS
+from mixseq.choices import BETWEENS, PLACEMENTS, PROJECTIONS, SEGMENTATIONS, SPACES
+from mixseq.cli.files import LabelChoice, claim_of_command
+from mixseq.cli.group import parse_length
 from mixseq.errors import SettingsError
 from mixseq.runtime.parallel import environment
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_number, number_to_time
@@ -24,14 +28,9 @@ from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_number, number_t
 if TYPE_CHECKING:
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
-    from mixseq.sequence.sequence import Frames
 
 
 Command = Callable[..., None]
-Decorator = Callable[[Command], Command]
-
-ALL_ANIMATIONS = "all"
-"""Choice of a file for every animation."""
 
 YES_WORDS = ("yes", "true", "on", "1")
 NO_WORDS = ("no", "false", "off", "0")
@@ -118,36 +117,55 @@ class CommandWithSettings(click.Command):
                     formatter.write_dl(rows)
 
 
+Option = Callable[..., click.Parameter]
+"""Function that makes an option from the name of its argument, by default as it is spelled."""
+
+
+class Group:
+    """Options that a command gets as one argument: the result of `gather` for the given ones, as keywords."""
+
+    def __init__(self, *options: Option, gather: Callable[..., Any] = dict) -> None:
+        self._options = options
+        self.gather = gather
+
+    def make(self) -> list[click.Parameter]:
+        """Return the options."""
+        return [option() for option in self._options]
+
+
+Part = Option | Group
+
+
 def examples(*lines: str) -> str:
     """Return the examples at the end of a help text, marked so that click does not reflow them."""
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
 
 
-def command(name: str, *lines: str, before: str = "") -> Callable[[Command], click.Command]:
-    """Return a decorator that makes a command; `lines` are the examples at the end of its help."""
-    return click.command(name, cls=CommandWithSettings, epilog=before + examples(*lines))
+def command(
+    name: str, *lines: str, before: str = "", cls: type[CommandWithSettings] = CommandWithSettings, **own: Part
+) -> Callable[[Command], CommandWithSettings]:
+    """Return a decorator that makes a command; `lines` are the examples at the end of its help.
 
-
-def group(name: str, *options: Decorator, make: Callable[..., Any] = dict) -> Decorator:
-    """Return a decorator that adds a group of options, which the command gets as one argument.
-
-    `make` is called with the given options as keywords; its result is the argument `name`.
+    The parameters of the function are its arguments and options, in this order: those in `own` and, by the same names,
+    those in `SHARED_OPTIONS`.
     """
 
-    def add(function: Command) -> Command:
-        others = len(vars(function).get("__click_params__", ()))
-        for option in reversed(options):
-            option(function)
-        keys = [param.name for param in reversed(vars(function)["__click_params__"][others:])]
+    def make(function: Command) -> CommandWithSettings:
+        keys = [each.name for each in signature(function).parameters.values() if each.default is each.empty]
+        parts = {key: own.get(key) or SHARED_OPTIONS[key] for key in keys}
+        params = {key: part.make() if isinstance(part, Group) else [part(key)] for key, part in parts.items()}
 
-        @wraps(function)
-        def with_group(**values: Any) -> None:
-            present = {key: value for key in keys if (value := values.pop(key)) is not None}
-            function(**values, **{name: make(**present)})
+        def run(**values: Any) -> None:
+            for key, part in parts.items():
+                if isinstance(part, Group):
+                    members = {str(each.name): values.pop(str(each.name)) for each in params[key]}
+                    values[key] = part.gather(**{name: value for name, value in members.items() if value is not None})
+            function(**values)
 
-        return with_group
+        epilog = before + examples(*lines)
+        return cls(name, callback=run, params=[*chain(*params.values())], help=function.__doc__, epilog=epilog)
 
-    return add
+    return make
 
 
 def given_options(*names: str) -> list[str]:
@@ -195,7 +213,6 @@ class FrameRate(click.FloatRange):
 
 
 _FRAME_RANGE = re.compile(r"\s*(-?\d+)(?:[-:](-?\d+))?\s*")
-_LENGTH_PATTERN = re.compile(rf"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?)\s*({'|'.join(UNITS)}|)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -236,54 +253,10 @@ class FrameChoice:
         return number_to_time(first, header.fps), number_to_time(last, header.fps)
 
     def _check(self, header: SequenceHeader, *numbers: int) -> None:
-        low, high = (
-            header.times[0] * header.fps - FRAME_TOLERANCE,
-            header.times[-1] * header.fps + FRAME_TOLERANCE,
-        )
+        low, high = (header.times[0] * header.fps - FRAME_TOLERANCE, header.times[-1] * header.fps + FRAME_TOLERANCE)
         for number in numbers:
             if not low <= number <= high:
                 raise SettingsError(f"there is no frame {format_number(number)}; frames are {header.frame_numbers}")
-
-
-# Errors and tolerances are fractions of the bounding-box diagonal of the first frame, or lengths with a unit.
-
-
-def parse_length(text: str) -> float | str:
-    """Parse an option value: return a fraction of the diagonal as a number, a length with a unit as text.
-
-    >>> parse_length("1e-3"), parse_length("0.5 mm")
-    (0.001, '0.5mm')
-    """
-    match = _LENGTH_PATTERN.fullmatch(text.strip())
-    if not match or not 0.0 < float(match[1]) < float("inf"):
-        raise click.BadParameter(f"{text!r} is not a length above 0, such as 0.001 (of the diagonal) or 0.5mm")
-    return f"{match[1]}{match[2].lower()}" if match[2] else float(match[1])
-
-
-def in_diagonals(settings: Mapping[str, Any], frames: Frames, *names: str) -> dict[str, Any]:
-    """Return settings with the named lengths converted to fractions of a sequence's unit of errors."""
-    from mixseq.sequence.sequence import reference_diagonal
-
-    converted = dict(settings)
-    for name in names:
-        length = settings.get(name)
-        match = _LENGTH_PATTERN.fullmatch(length) if isinstance(length, str) else None
-        if match is None:
-            continue
-        diagonal = reference_diagonal(frames.blocks(1)).length * frames.header.metres_per_unit
-        if not diagonal > 0.0:
-            raise SettingsError(
-                f"{frames.header.name!r} has no size in any frame, so {length} is no fraction of it; give a "
-                "sequence that is larger than a point"
-            )
-        converted[name] = float(match[1]) * UNITS[match[2]] / diagonal
-    return converted
-
-
-def in_diagonals_of_all(settings: Mapping[str, Any], sequences: Iterable[Frames]) -> dict[str, Any]:
-    """Return settings with a length `max_error` converted to the smallest of its fractions of several sequences."""
-    converted = (in_diagonals(settings, frames, "max_error") for frames in sequences)
-    return min(converted, key=lambda settings: settings.get("max_error", 0.0))
 
 
 def _angles(text: str) -> tuple[float, float]:
@@ -319,7 +292,11 @@ def thread_limit(count: int | None) -> Iterator[Executor]:
         yield thread_executor()
 
 
-def _workers(threads: int | None = None, cluster: str | None = None) -> AbstractContextManager[Executor]:
+Workers = AbstractContextManager["Executor"]
+"""Context of parallel work, which yields an `Executor`."""
+
+
+def _workers(threads: int | None = None, cluster: str | None = None) -> Workers:
     if cluster is None:
         return thread_limit(threads)
     if threads is not None:
@@ -332,99 +309,102 @@ def _workers(threads: int | None = None, cluster: str | None = None) -> Abstract
 # Options --------------------------------------------------------------------------------------------------
 # Commands complete options defined by ``partial``: ``@options.fps(help=...)``.
 
-argument = partial(click.argument, type=FILE_PATH)
+
+def argument(**settings: Any) -> Option:
+    """Return an argument of a command, by default a path."""
+    return lambda key: click.Argument([key], **{"type": FILE_PATH} | settings)
 
 
-def option(spec: str, *names: str, **settings: Any) -> Decorator:
-    """Return a decorator that adds an option, spelled ``--name METAVAR`` as in help, with its default shown.
+def option(
+    spec: str, text: str, name: str | None = None, cls: type[click.Option] = click.Option, **settings: Any
+) -> Option:
+    """Return an option, spelled ``--name METAVAR`` as in help, with its default shown.
 
-    If the metavar is in `PATH_METAVARS`, the value is a path.
+    Without a metavar and a type it is a switch; if the metavar is in `PATH_METAVARS`, the value is a path. In a group,
+    `name` is its name if it is spelled differently.
     """
-    name, _, metavar = spec.partition(" ")
-    settings.setdefault("metavar", metavar or None)
-    settings.setdefault("show_default", settings.get("default") is not None)
+    *spellings, last = spec.split(" ")
+    metavar = None if last.startswith("-") else last
+    spellings += [last] if metavar is None else []
+    settings = {"metavar": metavar, "show_default": settings.get("default") is not None, "help": text} | settings
     if metavar in PATH_METAVARS:
         settings["type"] = FILE_PATH
-    return click.option(name, *names, **settings)
+    elif metavar is None and "type" not in settings:
+        settings["is_flag"] = True
+    return lambda key=name: cls([*spellings, *([key] if key else [])], **settings)
 
 
 setting = partial(option, cls=Setting)
-"""Make a decorator like `option`, for a setting."""
+"""Make a setting like `option`."""
 
 flag = partial(option, is_flag=True, default=None)
-"""Make a decorator like `option`, for a switch in a group; without the switch on the command line there is no value."""
+"""Make a switch in a group like `option`; without the switch on the command line there is no value."""
 
-quiet = option("-q", "--quiet", is_flag=True, help="Print neither progress nor tables.")
-as_json = option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
-out_folder = partial(option, "--out", type=FILE_PATH, help="Folder for the files, made if missing.")
+quiet = option("-q --quiet", "Print neither progress nor tables.")
+as_json = option("--json", "Print JSON instead of a table.")
+out_folder = partial(option, "--out", "Folder for the files, made if missing.", type=FILE_PATH)
 frames = partial(option, "--frames A-B", type=FrameChoice.from_text)
 fps = partial(option, "--fps N", type=FrameRate())
-parts = partial(
-    option,
+parts = option(
     "--parts N",
+    "Number of parts; every connected component has at least one.  [default: automatic]",
     type=POSITIVE_INTEGER,
-    help="Number of parts; every connected component has at least one.  [default: automatic]",
 )
 threads = partial(option, "--threads N", type=POSITIVE_INTEGER)
-velocities = partial(
-    option,
-    "--velocities/--no-velocities",
-    default=False,
-    help="Also write the velocities of all vertices, for motion blur.",
-)
+velocities = partial(option, "--velocities/--no-velocities", default=False)
 body = partial(option, "--body NAME")
 joint_width = setting(
     "--joint-width N",
+    "Largest width of joints, in strips of triangles on each side of a boundary.",
     type=POSITIVE_INTEGER,
     default=3,
-    help="Largest width of joints, in strips of triangles on each side of a boundary.",
 )
 length = partial(option, type=parse_length)
-"""Make a decorator like `option`, for a fraction of the bounding-box diagonal or a length such as 0.5mm."""
+"""Make an option like `option`, for a fraction of the bounding-box diagonal or a length such as 0.5mm."""
 
 camera = setting(
     "--camera ANGLE,HEIGHT",
+    "Degrees from the body's front, to its left, and above the horizon.  [default: front and a side]",
     type=_angles,
-    help="Degrees from the body's front, to its left, and above the horizon.  [default: front and a side]",
 )
 
 scalar = option(
     "--scalar FILE",
-    help="Numbers of the vertices to show as colours, constant or a row for every frame: .npy, .npz or text.",
+    "Numbers of the vertices to show as colours, constant or a row for every frame: .npy, .npz or text.",
 )
 
 SPACE_OPTIONS = (
     option(
         "--space",
+        "Shape space: parts and joints, vertices, deformation gradients, LRI coordinates, lengths and angles.",
         type=click.Choice(SPACES),
         default="mixed",
-        help="Shape space: parts and joints, vertices, deformation gradients, LRI coordinates, lengths and angles.",
     ),
-    parts(),
-    setting("--segmentation", type=click.Choice(SEGMENTATIONS), default="motion", help="How parts are found."),
+    parts,
+    setting("--segmentation", "How parts are found.", type=click.Choice(SEGMENTATIONS), default="motion"),
     joint_width,
     setting(
         "--placement",
+        "How parts are placed: by a pose each, or where lengths and angles put them.",
         type=click.Choice(PLACEMENTS),
         default="anchored",
-        help="How parts are placed: by a pose each, or where lengths and angles put them.",
     ),
     setting(
         "--projection",
+        "How the edge space finds meshes: in a few steps, or by Gauss-Newton.  [default: steps]",
         type=click.Choice(PROJECTIONS),
-        help="How the edge space finds meshes: in a few steps, or by Gauss-Newton.  [default: steps]",
     ),
     setting(
         "--volume W",
+        "Weight of the volume in the edge space, with --projection dso.  [default: 0]",
         type=click.FloatRange(min=0),
-        help="Weight of the volume in the edge space, with --projection dso.  [default: 0]",
     ),
 )
 
 # Groups ---------------------------------------------------------------------------------------------------
 
-making = group("making", *SPACE_OPTIONS)
-"""Options of shape spaces, in the argument ``making``."""
+making = Group(*SPACE_OPTIONS)
+"""Options of shape spaces."""
 
 
 def _fitting(**settings: Any) -> dict[str, Any]:
@@ -433,19 +413,18 @@ def _fitting(**settings: Any) -> dict[str, Any]:
     return settings
 
 
-fitting = group(
-    "fitting",
-    flag("--exact", help="Keep everything; frames come back up to rounding."),
+fitting = Group(
+    flag("--exact", "Keep everything; frames come back up to rounding."),
     length(
         "--tolerance X",
-        help="Largest error of a vertex, as a fraction of the bounding box's diagonal, or 0.5mm.  "
+        "Largest error of a vertex, as a fraction of the bounding box's diagonal, or 0.5mm.  "
         "[default: 0.0005, lossless to the eye]",
     ),
-    option("--rank N", type=NON_NEGATIVE_INTEGER, help="Number of shape modes; parts stay in place exactly."),
+    option("--rank N", "Number of shape modes; parts stay in place exactly.", type=NON_NEGATIVE_INTEGER),
     *SPACE_OPTIONS,
-    make=_fitting,
+    gather=_fitting,
 )
-"""Options of fitting and of shape spaces, in the argument ``fitting``."""
+"""Options of fitting and of shape spaces."""
 
 
 def _parse_cuts(text: str) -> str | list[float]:
@@ -455,38 +434,35 @@ def _parse_cuts(text: str) -> str | list[float]:
         raise click.BadParameter(f"{text!r} is not auto, none, or frame numbers such as 1013,1050") from None
 
 
-sampling = group(
-    "sampling",
+sampling = Group(
     setting(
         "--conform N",
+        "Play the same frames, with their numbers, at this rate; nothing is interpolated.",
         type=FrameRate(),
-        help="Play the same frames, with their numbers, at this rate; nothing is interpolated.",
     ),
-    flag("--hold", cls=Setting, help="Hold the first and last pose where times are outside SOURCE."),
+    flag("--hold", "Hold the first and last pose where times are outside SOURCE.", cls=Setting),
     setting(
         "--shutter ANGLE",
+        "Also write samples while a shutter is open around each frame, for motion blur: 180, or 180,5 for five.",
         type=_shutter,
-        help="Also write samples while a shutter is open around each frame, for motion blur: 180, or 180,5 for five.",
     ),
 )
-"""Options of `mixseq resample` for rates, ends and sub-frames, in the argument ``sampling``."""
+"""Options of `mixseq resample` for rates, ends and sub-frames."""
 
-timing = group(
-    "timing",
+timing = Group(
     setting(
         "--between",
-        type=click.Choice(BETWEENS),
-        help="Motion between frames: as found in them, smooth through poses on twos and baked keys, straight, "
+        "Motion between frames: as found in them, smooth through poses on twos and baked keys, straight, "
         "none, or along splines of vertices without parts and joints.  [default: auto]",
+        type=click.Choice(BETWEENS),
     ),
     setting(
         "--cuts auto|none|FRAMES",
+        "Where the motion jumps: where found, nowhere, or before these frames, such as 1013,1050.  [default: auto]",
         type=_parse_cuts,
-        help="Where the motion jumps: where found, nowhere, or before these frames, such as 1013,1050.  "
-        "[default: auto]",
     ),
 )
-"""Options of the motion between frames, in the argument ``timing``."""
+"""Options of the motion between frames."""
 
 
 def at_frames(timing: Mapping[str, Any], header: SequenceHeader) -> dict[str, Any]:
@@ -495,96 +471,127 @@ def at_frames(timing: Mapping[str, Any], header: SequenceHeader) -> dict[str, An
     return {**timing, "cuts": [header.index_of(number) for number in cuts]} if isinstance(cuts, list) else {**timing}
 
 
-reading = group(
-    "reading",
+reading = Group(
     option(
         "--prim PATH",
-        help="Mesh to read, or something above it, in USD, Alembic and glTF; / is all.  [default: all that move]",
+        "Mesh to read, or something above it, in USD, Alembic and glTF; / is all.  [default: all that move]",
     ),
     setting(
         "--animation NAME",
-        help="Animation to read of glTF; none is the pose at rest; in convert, encode, resample and batch, all is a "
+        "Animation to read of glTF; none is the pose at rest; in convert, encode, resample and batch, all is a "
         "file for each.  [default: the first]",
     ),
     setting(
         "--input-fps N",
-        "fps",
+        "Frames per second of numbered files, npz and PC2, or to sample glTF at.  [default: 24, or its keys]",
+        name="fps",
         type=FrameRate(),
-        help="Frames per second of numbered files, npz and PC2, or to sample glTF at.  [default: 24, or its keys]",
     ),
     setting(
         "--start-frame N",
+        "Number of the first frame, where the file has none; 1001 is at 41.708 s of 24 frames per second.",
         type=float,
-        help="Number of the first frame, where the file has none; 1001 is at 41.708 s of 24 frames per second.",
     ),
-    setting("--mesh", type=FILE_PATH, help="Mesh of a point cache.  [default: the file of the same name]"),
-    flag("--allow-gaps", cls=Setting, help="Accept missing numbers among numbered files."),
+    setting("--mesh", "Mesh of a point cache.  [default: the file of the same name]", type=FILE_PATH),
+    flag("--allow-gaps", "Accept missing numbers among numbered files.", cls=Setting),
     setting(
         "--up-axis",
+        "Axis that points up, where the file does not say; nothing is turned.",
         type=click.Choice(["X", "Y", "Z"]),
-        help="Axis that points up, where the file does not say; nothing is turned.",
     ),
     setting(
         "--units m|cm|...",
-        "metres_per_unit",
+        "Unit, where the file does not say: mm, cm, m, km, in, ft, yd, or metres; nothing is scaled.",
+        name="metres_per_unit",
         type=_unit,
-        help="Unit, where the file does not say: mm, cm, m, km, in, ft, yd, or metres; nothing is scaled.",
     ),
 )
-"""Options of file readers, in the argument ``reading``."""
+"""Options of file readers."""
 
 
-@reading
-def _read(**_: object) -> None: ...
-
-
-READING_OPTIONS = {each.opts[0]: str(each.name) for each in vars(_read)["__click_params__"]}
+READING_OPTIONS = {each.opts[0]: str(each.name) for each in reading.make()}
 """Parameters of file readers, by the spelling of their options."""
 
-writing = group(
-    "writing",
-    flag("--flatten", help="Write USD, Alembic or glTF that does not build on the original file."),
-    flag(
-        "--keep-start",
-        cls=Setting,
-        help="Write glTF whose animation begins when the sequence does, and not at 0.",
-    ),
-    setting(
-        "--onto",
-        type=FILE_PATH,
-        help="The original file to build on, if it is not where the sequence came from.",
-    ),
-    setting("--clips N", type=POSITIVE_INTEGER, help="Write USD as value clips of N frames per file."),
+writing = Group(
+    flag("--flatten", "Write USD, Alembic or glTF that does not build on the original file."),
+    flag("--keep-start", "Write glTF whose animation begins when the sequence does, and not at 0.", cls=Setting),
+    setting("--onto", "The original file to build on, if it is not where the sequence came from.", type=FILE_PATH),
+    setting("--clips N", "Write USD as value clips of N frames per file.", type=POSITIVE_INTEGER),
     setting(
         "--pack-from FOLDER",
-        help="Also pack textures that are in this folder into a .usdz, not only those in the original's.",
+        "Also pack textures that are in this folder into a .usdz, not only those in the original's.",
     ),
     setting(
         "--convert-axes",
+        "Turn the sequence, so that this axis points up.  [default: as it is]",
         type=click.Choice(["Y", "Z"]),
-        help="Turn the sequence, so that this axis points up.  [default: as it is]",
     ),
     setting(
         "--convert-units m|cm|...",
+        "Scale the sequence to mm, cm, m, km, in, ft, yd, or a unit in metres.  [default: as it is]",
         type=_unit,
-        help="Scale the sequence to mm, cm, m, km, in, ft, yd, or a unit in metres.  [default: as it is]",
     ),
 )
-"""Options of sequence writers, in the argument ``writing``."""
+"""Options of sequence writers."""
 
-workers = group(
-    "workers",
-    threads(help="Threads to work on.  [default: all cores]"),
-    option("--cluster ADDRESS", help="Work on a dask cluster: tcp://host:8786, or local:N for N processes here."),
-    make=_workers,
+workers = Group(
+    threads("Threads to work on.  [default: all cores]"),
+    option("--cluster ADDRESS", "Work on a dask cluster: tcp://host:8786, or local:N for N processes here."),
+    gather=_workers,
 )
-"""Options of parallel work; the argument ``workers`` is a context that yields an `Executor`."""
+"""Options of parallel work, as `Workers`."""
 
 
-def picture(beside: str) -> Decorator:
-    """Return the options of a picture drawn in addition to a result, in the argument ``picture``."""
-    return group(
-        "picture",
-        option("--picture PNG", help=f"Name of the picture.  [default: beside {beside}]"),
-        flag("--no-picture", help="Draw no picture."),
+def picture(beside: str) -> Group:
+    """Return the options of a picture drawn in addition to a result."""
+    return Group(
+        option("--picture PNG", f"Name of the picture.  [default: beside {beside}]"),
+        flag("--no-picture", "Draw no picture."),
     )
+
+
+overwriting = Group(
+    option(
+        "--overwrite/--no-overwrite",
+        "Replace files that exist, or refuse to.  [default: ask, on a terminal]",
+        default=None,
+    ),
+    gather=claim_of_command,
+)
+"""Option ``--overwrite``; the argument ``claim`` gets a `Claim`, to be called before the work."""
+
+labelling = Group(
+    option(
+        "--labels FILE",
+        "Parts from labels of the faces made elsewhere: npz, or the same mesh in USD, OBJ, PLY, glTF, ...",
+    ),
+    option(
+        "--source NAME",
+        "Which labels in that file, or else in the sequence's own: labels, groups, materials, colours, skeleton, "
+        "or a family of USD subsets.  [default: the only ones]",
+        name="label_source",
+    ),
+    gather=LabelChoice,
+)
+"""Options for labels from other programs; the argument ``labels`` gets a `LabelChoice`."""
+
+SHARED_OPTIONS: dict[str, Part] = {
+    "source": argument(),
+    "target": argument(),
+    "velocities": velocities("Also write the velocities of all vertices, for motion blur."),
+    "scalar": scalar,
+    "reading": reading,
+    "writing": writing,
+    "making": making,
+    "fitting": fitting,
+    "parts": parts,
+    "joint_width": joint_width,
+    "sampling": sampling,
+    "timing": timing,
+    "labels": labelling,
+    "workers": workers,
+    "claim": overwriting,
+    "as_json": as_json,
+    "quiet": quiet,
+}
+"""Arguments and options of several commands, by the parameters of their functions."""

@@ -11,9 +11,9 @@ import click
 
 from mixseq.choices import COLOURS, PICTURES, PictureKind
 from mixseq.cli import options
-from mixseq.cli.files import Claim, load_or_fit, overwriting, read_sequence, scene_items
-from mixseq.cli.group import announce, progress_bar
-from mixseq.cli.options import in_diagonals
+from mixseq.cli.files import Claim, load_or_fit, read_sequence, scene_items
+from mixseq.cli.group import announce, in_diagonals, progress_bar
+from mixseq.cli.options import FrameRate, Group, Setting, argument, flag, length, option, setting
 from mixseq.errors import SettingsError
 
 
@@ -39,57 +39,52 @@ _FILM_OPTIONS = ("size", "film_fps", "seconds", "turn", "follow", "colour", "sca
     "mixseq plot walk.h5 embedding.svg --kind embedding --frames 0,12,24,36",
     "mixseq plot --video walk.mp4 walk.usdc walk.h5 --set turn=360 --set seconds=8",
     "mixseq plot --video parts.gif walk.h5 --colour parts --size 640x360",
-)
-@options.argument("files", metavar="MODEL TARGET | --video FILM FILES...", nargs=-1)
-@options.option("--kind", type=click.Choice(PICTURES), help="One picture only.  [default: all of them on one page]")
-@options.option("--against SEQUENCE", help="The original in any format, to draw the errors of the model.")
-@options.frames(
-    help="Frames to number in the embedding, or to draw with the errors of their vertices.  [default: automatic]",
-    metavar="N,N,...",
-)
-@options.length("--tolerance D", help="Draw a line at this error, a fraction of the bounding box's diagonal, or 0.5mm.")
-@options.scalar
-@options.option(
-    "--video FILE",
-    help="Make a film of FILES side by side, sequences or models: .webp, .gif, or .mp4, which needs ffmpeg.",
-)
-@options.setting(
-    "--names A,B,...",
-    type=_names,
-    help="What stands above FILES in the film.  [default: names of several files]",
-)
-@options.group(
-    "filming",
-    options.option("--size WxH", type=_size, help="Pixels of the film.  [default: 1280x720]"),
-    options.option(
-        "--fps N",
-        "film_fps",
-        type=options.FrameRate(),
-        help="Frames per second of the film; models are decoded at its times.  [default: those of the first file]",
+    files=argument(metavar="MODEL TARGET | --video FILM FILES...", nargs=-1),
+    kind=option("--kind", "One picture only.  [default: all of them on one page]", type=click.Choice(PICTURES)),
+    against=option("--against SEQUENCE", "The original in any format, to draw the errors of the model."),
+    frames=options.frames(
+        "Frames to number in the embedding, or to draw with the errors of their vertices.  [default: automatic]",
+        metavar="N,N,...",
     ),
-    options.setting(
-        "--seconds S",
-        type=float,
-        help="Duration of the film; what is shorter starts again.  [default: that of the longest file]",
+    tolerance=length(
+        "--tolerance D", "Draw a line at this error, a fraction of the bounding box's diagonal, or 0.5mm."
     ),
-    options.setting("--turn DEGREES", type=float, help="Let the camera go around in the film."),
-    options.camera,
-    options.flag("--follow", cls=options.Setting, help="Let the camera go with a body that travels."),
-    options.option(
-        "--colour",
-        type=click.Choice(COLOURS),
-        help="What colours show in the film; own are those of the file, parts need a model, error needs --against.  "
-        "[default: clay]",
+    video=option(
+        "--video FILE",
+        "Make a film of FILES side by side, sequences or models: .webp, .gif, or .mp4, which needs ffmpeg.",
     ),
-    options.setting(
-        "--scale X",
-        type=float,
-        help="Error (diagonals), strain or bend (degrees) of the last colour.  [default: the largest]",
+    names=setting(
+        "--names A,B,...", "What stands above FILES in the film.  [default: names of several files]", type=_names
+    ),
+    filming=Group(
+        option("--size WxH", "Pixels of the film.  [default: 1280x720]", type=_size),
+        option(
+            "--fps N",
+            "Frames per second of the film; models are decoded at its times.  [default: those of the first file]",
+            name="film_fps",
+            type=FrameRate(),
+        ),
+        setting(
+            "--seconds S",
+            "Duration of the film; what is shorter starts again.  [default: that of the longest file]",
+            type=float,
+        ),
+        setting("--turn DEGREES", "Let the camera go around in the film.", type=float),
+        options.camera,
+        flag("--follow", "Let the camera go with a body that travels.", cls=Setting),
+        option(
+            "--colour",
+            "What colours show in the film; own are those of the file, parts need a model, error needs --against.  "
+            "[default: clay]",
+            type=click.Choice(COLOURS),
+        ),
+        setting(
+            "--scale X",
+            "Error (diagonals), strain or bend (degrees) of the last colour.  [default: the largest]",
+            type=float,
+        ),
     ),
 )
-@options.reading
-@overwriting
-@options.quiet
 def command(
     files: tuple[Path, ...],
     kind: PictureKind | None,

@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import (
-    Claim,
-    between_rows,
-    counted,
-    each_animation,
-    is_model,
-    overwriting,
-    time_rows,
-    write_sequence,
-)
-from mixseq.cli.group import announce, print_table, progress_bar
-from mixseq.cli.options import in_diagonals
+from mixseq.cli.files import Claim, between_rows, counted, each_animation, is_model, time_rows, write_sequence
+from mixseq.cli.group import announce, in_diagonals, print_table, progress_bar
+from mixseq.cli.options import POSITIVE_NUMBER, length, option, setting
 from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_rate, format_span, snap_to_ntsc
 
@@ -41,46 +32,30 @@ if TYPE_CHECKING:
     "mixseq resample walk.h5 ramp.usdc --retime ramp.csv",
     "mixseq resample walk.usdc film.usdc --set conform=24000/1001",
     "mixseq resample walk.h5 blurred.abc --set shutter=180,5",
+    rate=options.fps("Frames per second of TARGET.  [default: those of SOURCE]"),
+    speed=option(
+        "--speed X", "How much faster the motion is; 0.5 lasts twice as long.", type=POSITIVE_NUMBER, default=1.0
+    ),
+    reverse=option("--reverse", "Play backwards."),
+    start=option("--start S", "Play from this second of SOURCE.  [default: the first]", type=float),
+    frames=options.frames("Play only these frames of SOURCE, by their numbers, instead of --start and --end."),
+    end=option("--end S", "Play to this second of SOURCE.  [default: the last]", type=float),
+    retime=option(
+        "--retime FILE",
+        "Play by a curve instead: lines output,source (CSV), or TOML, in seconds, or in frames if the first line is "
+        'unit = "frames".',
+    ),
+    linear=setting("--linear", "Join the points of --retime by straight lines, not smoothly."),
+    tolerance=length("--tolerance X", "Fit frames only up to this fraction of the sequence's diagonal, or 0.5mm."),
+    exact=option(
+        "--exact", "Fit frames exactly, also those of a rig.  [default: evaluate rigs, fit other sequences exactly]"
+    ),
+    whole_stage=setting(
+        "--whole-stage",
+        "Retime everything else in the original of a USD layer, too: cameras, hair, lights, other meshes.",
+    ),
 )
 @each_animation
-@options.argument("source")
-@options.argument("target")
-@options.fps("rate", help="Frames per second of TARGET.  [default: those of SOURCE]")
-@options.option(
-    "--speed X",
-    type=options.POSITIVE_NUMBER,
-    default=1.0,
-    help="How much faster the motion is; 0.5 lasts twice as long.",
-)
-@options.option("--reverse", is_flag=True, help="Play backwards.")
-@options.option("--start S", type=float, help="Play from this second of SOURCE.  [default: the first]")
-@options.frames(help="Play only these frames of SOURCE, by their numbers, instead of --start and --end.")
-@options.option("--end S", type=float, help="Play to this second of SOURCE.  [default: the last]")
-@options.option(
-    "--retime FILE",
-    help="Play by a curve instead: lines output,source (CSV), or TOML, in seconds, or in frames if the first line is "
-    'unit = "frames".',
-)
-@options.setting("--linear", is_flag=True, help="Join the points of --retime by straight lines, not smoothly.")
-@options.velocities()
-@options.length("--tolerance X", help="Fit frames only up to this fraction of the sequence's diagonal, or 0.5mm.")
-@options.option(
-    "--exact",
-    is_flag=True,
-    help="Fit frames exactly, also those of a rig.  [default: evaluate rigs, fit other sequences exactly]",
-)
-@options.sampling
-@options.timing
-@options.setting(
-    "--whole-stage",
-    is_flag=True,
-    help="Retime everything else in the original of a USD layer, too: cameras, hair, lights, other meshes.",
-)
-@options.reading
-@options.writing
-@options.workers
-@overwriting
-@options.quiet
 def command(
     source: Path,
     target: Path,
@@ -88,8 +63,8 @@ def command(
     speed: float,
     reverse: bool,
     start: float | None,
-    end: float | None,
     frames: options.FrameChoice | None,
+    end: float | None,
     retime: Path | None,
     linear: bool,
     velocities: bool,
@@ -100,7 +75,7 @@ def command(
     whole_stage: bool,
     reading: dict[str, Any],
     writing: dict[str, Any],
-    workers: AbstractContextManager[Executor],
+    workers: options.Workers,
     claim: Claim,
     quiet: bool,
 ) -> None:

@@ -13,8 +13,9 @@ import click
 import mixseq
 from mixseq.choices import SEGMENTATIONS
 from mixseq.cli import options
-from mixseq.cli.files import Claim, LabelChoice, check_picture, labelling, overwriting, picture_path
+from mixseq.cli.files import Claim, LabelChoice, check_picture, picture_path
 from mixseq.cli.group import announce, print_json, print_table, progress_bar, say
+from mixseq.cli.options import NON_NEGATIVE_INTEGER, argument, option, setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -40,30 +41,23 @@ METHOD_NAMES = (*SEGMENTATIONS, *_LABEL_METHODS)
     "mixseq segment man.glb parts.usdc --method skeleton",
     "mixseq segment man.glb parts.npz --against skeleton",
     "mixseq segment walk.usdc parts.usda --labels painted.ply",
+    path=argument(metavar="SOURCE"),
+    method=option(
+        "--method",
+        "How parts are found.  [default: motion; a model's own parts; labels with --labels or --source]",
+        type=click.Choice(METHOD_NAMES),
+    ),
+    seed=setting(
+        "--seed N",
+        "Seed of the random choice of views of the method silhouettes.  [default: 0]",
+        type=NON_NEGATIVE_INTEGER,
+    ),
+    against=option(
+        "--against NAME", "Compare with labels of SOURCE, such as skeleton: prints the adjusted Rand index."
+    ),
+    picture=options.picture("TARGET"),
+    flatten=option("--flatten", "Write USD that does not build on the original file."),
 )
-@options.argument("path", metavar="SOURCE")
-@options.argument("target")
-@options.option(
-    "--method",
-    type=click.Choice(METHOD_NAMES),
-    help="How parts are found.  [default: motion; a model's own parts; labels with --labels or --source]",
-)
-@options.parts()
-@options.setting(
-    "--seed N",
-    type=options.NON_NEGATIVE_INTEGER,
-    help="Seed of the random choice of views of the method silhouettes.  [default: 0]",
-)
-@labelling
-@options.option(
-    "--against NAME", help="Compare with labels of SOURCE, such as skeleton: prints the adjusted Rand index."
-)
-@options.picture("TARGET")
-@options.option("--flatten", is_flag=True, help="Write USD that does not build on the original file.")
-@options.as_json
-@options.reading
-@overwriting
-@options.quiet
 def command(
     path: Path,
     target: Path,

@@ -17,6 +17,7 @@ import mixseq
 from mixseq.choices import TRANSFERS
 from mixseq.cli import files, options
 from mixseq.cli.group import announce, length_text, print_json, print_table, progress_bar
+from mixseq.cli.options import POSITIVE_INTEGER, argument, option, setting
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import forward_warnings
 
@@ -24,11 +25,9 @@ if TYPE_CHECKING:
     from mixseq.choices import TransferName
     from mixseq.retargeting.contacts import ContactReport
     from mixseq.retargeting.correspond import CorrespondenceQuality
-    from mixseq.retargeting.proposals import Proposal
-    from mixseq.retargeting.report import Coverage, FrameCounts, TransferReport
+    from mixseq.retargeting.report import FrameCounts, TransferReport
     from mixseq.retargeting.transfer import Transfer
     from mixseq.retargeting.verdict import Verdict
-    from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
     from mixseq.sequence.sequence import MeshSequence
     from mixseq.signals.model import Model
@@ -42,22 +41,20 @@ MAX_LISTED_NAMES = 4  # largest number of followers in the table
 
 def facts(transferred: Transfer, method: str, report: TransferReport, verdict: Verdict) -> dict[str, Any]:
     """Return the report of a transfer as plain values for JSON."""
-    quality = transferred.quality
-    reported = {
+    quality, proposal = transferred.quality, transferred.proposal
+    return {
         "method": method,
         "frames": transferred.header.frame_count,
         "vertices": transferred.header.vertex_count,
+        **_part_counts(transferred),
+        "turned_limbs_degrees": transferred.turned,
+        "correspondence": quality and _quality_facts(quality),
+        "proposal": proposal
+        and {"tips": proposal.tip_count, "score": proposal.score, "margin": min(proposal.margin, 1.0)},
+        **report.as_dict(),
+        "contacts": asdict(transferred.contacts),
+        "verdict": asdict(verdict),
     }
-    return (
-        reported
-        | _part_counts(transferred)
-        | {"turned_limbs_degrees": transferred.turned}
-        | {"correspondence": None if quality is None else _quality_facts(quality)}
-        | {"proposal": None if transferred.proposal is None else _proposal_facts(transferred.proposal)}
-        | report.as_dict()
-        | {"contacts": asdict(transferred.contacts)}
-        | {"verdict": asdict(verdict)}
-    )
 
 
 def rows(transferred: Transfer, report: TransferReport, verdict: Verdict) -> list[tuple[str, str]]:
@@ -65,17 +62,24 @@ def rows(transferred: Transfer, report: TransferReport, verdict: Verdict) -> lis
     from mixseq.sequence.sequence import bounding_diagonal
 
     header, parts, turned = transferred.header, _part_counts(transferred), transferred.turned
+    quality, proposal, covered = transferred.quality, transferred.proposal, report.coverage
     diagonal = bounding_diagonal(transferred.target) * header.metres_per_unit
     by = ", ".join(_number(count, what[:-1]) for what, count in parts.items()) or "deformation gradients"
     frames = _number(header.frame_count, "frame")
+    followers = [f"{each.name} ({each.vertices:,} vertices) follows {each.leads}" for each in covered.followers]
+    tips = proposal and f"{proposal.tip_count} at tips, {len(proposal.markers) - proposal.tip_count} between them"
     strains = (100 * each.rms for each in (report.strain, report.source_strain, report.excess))
     return [
         ("verdict", verdict.text),
         ("transferred", f"{frames} to {header.vertex_count:,} vertices, by {by}"),
         *([("rest pose", f"limbs turned by up to {turned:.0f} degrees into the source's")] if turned else []),
-        *_coverage_rows(report.coverage),
-        *([] if transferred.quality is None else _quality_rows(transferred.quality, diagonal)),
-        *([] if transferred.proposal is None else [("proposed", _proposed(transferred.proposal))]),
+        (
+            "corresponds",
+            f"{_percent(covered.area)} of the target's area, {_percent(covered.source_area)} of the source's",
+        ),
+        *([("without counterpart", _first_names(followers))] if followers else []),
+        *([] if quality is None else _quality_rows(quality, diagonal)),
+        *([] if proposal is None else [("proposed", f"all markers: {tips}; sure, but look at the picture")]),
         ("strain", "{:.3g} % rms, source {:.3g} %; {:.3g} % unlike the source's".format(*strains)),
         ("acceleration", _smoothness(report, header)),
         ("self-intersections", _crossings(report, header)),
@@ -91,39 +95,21 @@ def _part_counts(transferred: Transfer) -> dict[str, int]:
     return {} if parts is None else {"parts": len(parts.target.parts), "joints": len(parts.target.joints)}
 
 
-def _coverage_rows(covered: Coverage) -> list[tuple[str, str]]:
-    shares = f"{_percent(covered.area)} of the target's area, {_percent(covered.source_area)} of the source's"
-    followers = [f"{each.name} ({each.vertices:,} vertices) follows {each.leads}" for each in covered.followers]
-    result = [("corresponds", shares)]
-    if followers:
-        result.append(("without counterpart", _first_names(followers)))
-    return result
-
-
 def _quality_facts(quality: CorrespondenceQuality) -> dict[str, Any]:
     """Return the numeric attributes of a correspondence quality, and the values of all markers by name."""
     names = [quality.markers.name(number) for number in range(len(quality.markers))]
     missed = zip(names, quality.marker_distances.tolist(), strict=True)
-    distances = [
-        distance if math.isfinite(distance) else None
-        for distance in (quality.mean_distance, quality.p99_distance, quality.largest_distance)
-    ]
+    distances = {name: getattr(quality, name) for name in ("mean_distance", "p99_distance", "largest_distance")}
     return {
         "source_coverage": quality.source_coverage,
         "target_coverage": quality.target_coverage,
-        "mean_distance": distances[0],
-        "p99_distance": distances[1],
-        "largest_distance": distances[2],
+        **{name: value if math.isfinite(value) else None for name, value in distances.items()},
         "flipped": quality.flipped_count,
         "filled_vertices": quality.filled_vertex_count,
         "filled_triangles": quality.filled_face_count,
         "followers": quality.follower_count,
         "markers": [{"name": name, "distance": distance} for name, distance in missed],
     }
-
-
-def _proposal_facts(proposal: Proposal) -> dict[str, Any]:
-    return {"tips": proposal.tip_count, "score": proposal.score, "margin": min(proposal.margin, 1.0)}
 
 
 def _quality_rows(quality: CorrespondenceQuality, diagonal: float) -> list[tuple[str, str]]:
@@ -140,11 +126,6 @@ def _quality_rows(quality: CorrespondenceQuality, diagonal: float) -> list[tuple
         ("matched", f"{_percent(quality.target_coverage)} of the target's area, {distances}{facing}"),
         ("markers", f"{len(quality.markers)}, at most {missed} off: {quality.markers.name(worst)}"),
     ]
-
-
-def _proposed(proposal: Proposal) -> str:
-    between = len(proposal.markers) - proposal.tip_count
-    return f"all markers: {proposal.tip_count} at tips, {between} between them; sure, but look at the picture"
 
 
 def _smoothness(report: TransferReport, header: SequenceHeader) -> str:
@@ -180,14 +161,13 @@ def _contact_rows(contacts: ContactReport, diagonal: float) -> list[tuple[str, s
         result.append((group.name, f"{stances}, {slid}{longer}"))
     if contacts.groups:
         shift = length_text(contacts.shift, diagonal, digits=2)
-        moved = f"body by {shift}, limbs by {contacts.turn:.2g} degrees at most"
-        result.append(("moved", moved))
+        result.append(("moved", f"body by {shift}, limbs by {contacts.turn:.2g} degrees at most"))
     return result
 
 
-def _first_names(names: list[str], separator: str = ", ") -> str:
+def _first_names(names: list[str]) -> str:
     more = len(names) - MAX_LISTED_NAMES
-    return separator.join(names[:MAX_LISTED_NAMES]) + (f" and {more} more" if more > 0 else "")
+    return ", ".join(names[:MAX_LISTED_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _number(count: int, what: str) -> str:
@@ -221,45 +201,39 @@ def _frames_to_draw(transferred: Transfer, frame: int, rest_file: Path | None, v
     "mixseq transfer horse.h5 camel.obj camel.usdc --markers pairs.txt --save-map map.npz",
     "mixseq transfer gallop.abc camel.obj camel.abc --map map.npz --rest horse.obj",
     "mixseq transfer gallop.h5 camel.obj herd.h5 --markers pairs.txt --as-body camel",
+    out=argument(),
+    markers=option("--markers FILE", "Pairs of vertices that are the same: SOURCE, TARGET.  [default: proposed]"),
+    reverse=option("--reverse", "The vertices of TARGET come first in --markers."),
+    map_file=option("--map FILE", "Dense correspondence, instead of markers."),
+    save_map=option("--save-map FILE", "Keep the correspondence, for --map."),
+    method=option(
+        "--method",
+        "Parts, joints and poses, or deformation gradients (Sumner and Popović).",
+        type=click.Choice(TRANSFERS),
+        default="mixed",
+    ),
+    rest=option(
+        "--rest FRAME|FILE",
+        "Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.  [default: the first; "
+        "of glTF SOURCE without animation]",
+    ),
+    parts=option(
+        "--parts N",
+        "Number of parts of SOURCE; every connected component has at least one.  [default: automatic]",
+        type=POSITIVE_INTEGER,
+    ),
+    contacts=option(
+        "--contacts FILE",
+        'Vertices of TARGET that shall not slide while SOURCE rests there, as JSON: {"left foot": [12, 13], ...}.',
+    ),
+    as_body=option(
+        "--as-body NAME",
+        "OUT is the model SOURCE with TARGET as another body, which moves by the same time and pose signals; only key "
+        "poses are transferred.",
+    ),
+    target_prim=setting("--target-prim PATH", "Mesh to read of TARGET, as --prim is of SOURCE."),
+    picture=options.picture("OUT"),
 )
-@options.argument("source")
-@options.argument("target")
-@options.argument("out")
-@options.option("--markers FILE", help="Pairs of vertices that are the same: SOURCE, TARGET.  [default: proposed]")
-@options.option("--reverse", is_flag=True, help="The vertices of TARGET come first in --markers.")
-@options.option("--map FILE", "map_file", help="Dense correspondence, instead of markers.")
-@options.option("--save-map FILE", help="Keep the correspondence, for --map.")
-@options.option(
-    "--method",
-    type=click.Choice(TRANSFERS),
-    default="mixed",
-    help="Parts, joints and poses, or deformation gradients (Sumner and Popović).",
-)
-@options.option(
-    "--rest FRAME|FILE",
-    help="Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.  [default: the first; "
-    "of glTF SOURCE without animation]",
-)
-@options.parts(help="Number of parts of SOURCE; every connected component has at least one.  [default: automatic]")
-@options.joint_width
-@files.labelling
-@options.option(
-    "--contacts FILE",
-    help='Vertices of TARGET that shall not slide while SOURCE rests there, as JSON: {"left foot": [12, 13], ...}.',
-)
-@options.option(
-    "--as-body NAME",
-    help="OUT is the model SOURCE with TARGET as another body, which moves by the same time and pose signals; only key "
-    "poses are transferred.",
-)
-@options.setting("--target-prim PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
-@options.picture("OUT")
-@options.as_json
-@options.reading
-@options.writing
-@options.workers
-@files.overwriting
-@options.quiet
 def command(
     source: Path,
     target: Path,
@@ -280,7 +254,7 @@ def command(
     as_json: bool,
     reading: dict[str, Any],
     writing: dict[str, Any],
-    workers: AbstractContextManager[Executor],
+    workers: options.Workers,
     claim: files.Claim,
     quiet: bool,
 ) -> None:
@@ -363,12 +337,7 @@ def command(
         settings = TransferSettings(pairs, mapping, method, contacts=feet, joint_width=joint_width)
         transferred = plan_transfer(motion, target_mesh, settings, progress, work)
         if save_map is not None:
-            write_map(
-                save_map,
-                transferred.correspondence,
-                transferred.source.header.faces,
-                transferred.header.faces,
-            )
+            write_map(save_map, transferred.correspondence, transferred.source.header.faces, transferred.header.faces)
         meter = TransferMeter(transferred)
         blocks = meter.measure_blocks(transferred.blocks(progress, work))
         if as_body is not None:
@@ -411,10 +380,7 @@ def _mesh_at_rest(
         path, {name: reading[name] for name in (*_SHARED_READ_OPTIONS, "prim") if name in reading}
     )
     header = source_motion.header
-    if not is_default or (target_mesh.vertex_count, len(target_mesh.faces)) == (
-        header.vertex_count,
-        len(header.faces),
-    ):
+    if not is_default or (target_mesh.vertex_count, len(target_mesh.faces)) == (header.vertex_count, len(header.faces)):
         return target_mesh
     warnings.warn(
         f"{path}: without animation there are other meshes than those that move, so frame 0 counts as the rest; "

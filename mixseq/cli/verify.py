@@ -12,19 +12,21 @@ import click
 import mixseq
 from mixseq.cli import options
 from mixseq.cli.group import length_text, print_json, print_table, progress_bar
+from mixseq.cli.options import argument, option
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     from mixseq_io.verification import Verification
 
 
-@options.command("verify", "mixseq verify walk.h5", "mixseq verify walk.h5 walk.usdc --json")
-@options.argument("path", metavar="FILE")
-@options.argument("original", required=False)
-@options.option("--script FILE", help="Edit script by which FILE was edited, to be applied to ORIGINAL, too.")
-@options.as_json
-@options.reading
-@options.quiet
+@options.command(
+    "verify",
+    "mixseq verify walk.h5",
+    "mixseq verify walk.h5 walk.usdc --json",
+    path=argument(metavar="FILE"),
+    original=argument(required=False),
+    script=option("--script FILE", "Edit script by which FILE was edited, to be applied to ORIGINAL, too."),
+)
 def command(
     path: Path, original: Path | None, script: Path | None, as_json: bool, reading: dict[str, Any], quiet: bool
 ) -> None:
@@ -81,10 +83,7 @@ def _rows(result: Verification, worst: str | None) -> list[tuple[str, str]]:
         texture.append(("bound holds", "yes" if result.holds else "no"))
     return [
         *rows,
-        (
-            "max error",
-            f"{length(result.max_error)}, of vertex {result.worst_vertex} in frame {worst}",
-        ),
+        ("max error", f"{length(result.max_error)}, of vertex {result.worst_vertex} in frame {worst}"),
         ("KG error", f"{result.kg_percent:.4g} %"),
         *texture,
     ]

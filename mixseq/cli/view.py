@@ -26,12 +26,11 @@ from mixseq.cli.files import (
     first_frame,
     is_model,
     options_of,
-    overwriting,
     scene_items,
     write_frames,
 )
-from mixseq.cli.group import announce, needed, progress_bar, say
-from mixseq.cli.options import in_diagonals_of_all
+from mixseq.cli.group import announce, in_diagonals_of_all, needed, progress_bar, say
+from mixseq.cli.options import POSITIVE_INTEGER, FrameRate, Group, Setting, argument, flag, length, option, setting
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.interrupts import acknowledge_signal
 from mixseq.runtime.progress import Progress, log_progress
@@ -53,64 +52,52 @@ if TYPE_CHECKING:
     "mixseq view shot.abc --set browser=no --set port=9000",
     "mixseq view walk.h5 --export walk.html",
     "mixseq view horse.obj camel.obj --markers pairs.txt",
-)
-@options.argument("files", nargs=-1, required=True)
-@options.option("--against SEQUENCE", help="The original in any format, to colour errors.")
-@options.scalar
-@options.option(
-    "--markers FILE",
-    help="Set markers of two meshes, for mixseq transfer: click pairs of points. FILE is continued, if it is there.",
-)
-@options.option(
-    "--fps N",
-    "rate",
-    type=options.FrameRate(1000),
-    help="Frames per second; models are decoded at any rate.  [default: those of the first file]",
-)
-@options.group(
-    "live",
-    options.setting(
-        "--host ADDRESS",
-        help="Listen here; 0.0.0.0 for all who reach it and have the address.  [default: 127.0.0.1, this machine only]",
+    files=argument(nargs=-1, required=True),
+    against=option("--against SEQUENCE", "The original in any format, to colour errors."),
+    markers=option(
+        "--markers FILE",
+        "Set markers of two meshes, for mixseq transfer: click pairs of points. FILE is continued, if it is there.",
     ),
-    options.setting(
-        "--port N",
-        type=click.IntRange(1, 65535),
-        help="Listen at this port.  [default: 8080, or the next one that is free]",
+    rate=option(
+        "--fps N",
+        "Frames per second; models are decoded at any rate.  [default: those of the first file]",
+        type=FrameRate(1000),
     ),
-    options.flag("--read-only", help="Nothing can be edited or saved in the browser."),
-)
-@options.group(
-    "looks",
-    options.flag(
-        "--overlaid",
-        cls=options.Setting,
-        help="Meshes stand in one place at first, not side by side; on pages, too.",
+    live=Group(
+        setting(
+            "--host ADDRESS",
+            "Listen here; 0.0.0.0 for all who reach it and have the address.  [default: 127.0.0.1, this machine only]",
+        ),
+        setting(
+            "--port N",
+            "Listen at this port.  [default: 8080, or the next one that is free]",
+            type=click.IntRange(1, 65535),
+        ),
+        flag("--read-only", "Nothing can be edited or saved in the browser."),
     ),
-    options.camera,
-    options.flag("--follow", "following", cls=options.Setting, help="Bodies that travel stay in the middle at first."),
-)
-@options.setting("--browser/--no-browser", default=None, help="Open a browser.  [default: where there is a screen]")
-@options.setting("--shading", type=click.Choice(["smooth", "simple"]), help="simple is quick without a graphics card.")
-@options.threads(help="Threads that open files and decode.  [default: all cores]")
-@options.option("--export PAGE", "page", help="Write a page (.html) that plays on its own, without a network, and end.")
-@options.group(
-    "paging",
-    options.setting("--every N", type=options.POSITIVE_INTEGER, help="Of the frames of PAGE, keep every N-th."),
-    options.length(
-        "--max-error E",
-        help="No vertex of PAGE is farther off than this fraction of the bounding box's diagonal, or 0.5mm; compressed "
-        "models are taken as they are.  [default: 0.001]",
+    looks=Group(
+        flag("--overlaid", "Meshes stand in one place at first, not side by side; on pages, too.", cls=Setting),
+        options.camera,
+        flag("--follow", "Bodies that travel stay in the middle at first.", name="following", cls=Setting),
     ),
-    options.setting(
-        "--inbetweens/--no-inbetweens",
-        default=None,
-        help="Fit a model to the frames of PAGE, whose motion it shows between them.  [default: inbetweens]",
+    browser=setting("--browser/--no-browser", "Open a browser.  [default: where there is a screen]", default=None),
+    shading=setting("--shading", "simple is quick without a graphics card.", type=click.Choice(["smooth", "simple"])),
+    threads=options.threads("Threads that open files and decode.  [default: all cores]"),
+    page=option("--export PAGE", "Write a page (.html) that plays on its own, without a network, and end."),
+    paging=Group(
+        setting("--every N", "Of the frames of PAGE, keep every N-th.", type=POSITIVE_INTEGER),
+        length(
+            "--max-error E",
+            "No vertex of PAGE is farther off than this fraction of the bounding box's diagonal, or 0.5mm; compressed "
+            "models are taken as they are.  [default: 0.001]",
+        ),
+        setting(
+            "--inbetweens/--no-inbetweens",
+            "Fit a model to the frames of PAGE, whose motion it shows between them.  [default: inbetweens]",
+            default=None,
+        ),
     ),
 )
-@options.reading
-@overwriting
-@options.quiet
 def command(
     files: tuple[Path, ...],
     against: Path | None,
@@ -277,11 +264,7 @@ def _save(sources: Sequence[Path], path: Path, edited: Model | str, replace: boo
 
 
 def _set_markers(
-    files: Sequence[Path],
-    path: Path,
-    reading: Mapping[str, Any],
-    viewing: Mapping[str, Any],
-    browser: bool | None,
+    files: Sequence[Path], path: Path, reading: Mapping[str, Any], viewing: Mapping[str, Any], browser: bool | None
 ) -> None:
     """Run a viewer for setting markers until it is interrupted, then write unsaved markers to a new file."""
     from mixseq.viewer.live import ViewSettings

@@ -21,7 +21,6 @@ FRAME_COUNT = 6
 
 
 @options.command("warm-up", "mixseq warm-up")
-@options.quiet
 def command(quiet: bool) -> None:
     """Compile inner loops in advance, so that later runs start at once.
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from mixseq.cli import options
-from mixseq.cli.files import Claim, overwriting
+from mixseq.cli.files import Claim
 from mixseq.cli.group import announce
 
 
-@options.command("web", "mixseq web --out site/mixseq")
-@options.out_folder(default=Path("mixseq-web"))
-@overwriting
-@options.quiet
+@options.command("web", "mixseq web --out site/mixseq", out=options.out_folder(default=Path("mixseq-web")))
 def command(out: Path, claim: Claim, quiet: bool) -> None:
     """Write a JavaScript package that plays compressed models in browsers.
 

@@ -41,6 +41,5 @@ _NAMES = {
 }
 
 __getattr__ = lazy_getattr(
-    __name__,
-    {name: f"mixseq.pictures.{module}" for module, names in _NAMES.items() for name in names.split()},
+    __name__, {name: f"mixseq.pictures.{module}" for module, names in _NAMES.items() for name in names.split()}
 )

@@ -246,10 +246,10 @@ def save_page(page: Figure, target: Target, file_format: Format) -> None:
     page.savefig(target, format=file_format, dpi=DOTS_PER_INCH, metadata=no_metadata[file_format])
 
 
-def log_axis(ax: Axes, values: Float, min_decades: int = 2) -> None:
-    """Make the y axis logarithmic over whole decades around positive values, so that ticks have labels."""
+def log_axis(ax: Axes, values: Float) -> None:
+    """Make the y axis logarithmic over two or more whole decades around positive values, so that ticks have labels."""
     low, high = np.floor(np.log10(values.min())), np.ceil(np.log10(values.max()))
-    low = min(low, high - min_decades)
+    low = min(low, high - 2)
     ax.set_yscale("log")
     ax.set_ylim(10.0**low, 10.0**high)
 
@@ -317,7 +317,7 @@ def draw_coefficients(ax: Axes, model: Model) -> None:
     """Draw the time-signal coordinates with the largest movement over time, with knots as dots."""
     ax.set(title="Time signal: coefficients, knots as dots", ylabel="coordinate (diagonals)")
     if not model.time.dim:
-        _write_note(ax, "the model has no shape modes")
+        _note_no_modes(ax)
         return
     coordinate_ids, units = largest_coordinates(model)
     times = dense_times(model)
@@ -328,10 +328,9 @@ def draw_coefficients(ax: Axes, model: Model) -> None:
         ax.plot(times, line, color=colour, linewidth=1.4, label=f"coordinate {number + 1}")
         ax.plot(knots, dot, "o", color=colour, markersize=3)
     time_axis(ax, model.start, model.end, model.header.fps)
-    selection = (
-        "" if len(coordinate_ids) == model.time.dim else f"\nthe largest {len(coordinate_ids)} of {model.time.dim}"
-    )
-    title = f"{len(model.time.times)} knots{selection}"
+    title = f"{len(model.time.times)} knots"
+    if len(coordinate_ids) < model.time.dim:
+        title += f"\nthe largest {len(coordinate_ids)} of {model.time.dim}"
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title=title, title_fontsize=8, alignment="left")
 
 
@@ -340,7 +339,7 @@ def draw_singular_values(ax: Axes, model: Model) -> None:
     ax.set(title="Singular values", xlabel="mode", ylabel="size (diagonals)")
     sizes = singular_values(model)
     if not sizes.size:
-        _write_note(ax, "the model has no shape modes")
+        _note_no_modes(ax)
         return
     modes = np.arange(1, len(sizes) + 1)
     remainder = np.sqrt(np.cumsum(np.square(sizes[::-1])))[::-1][1:]
@@ -366,7 +365,6 @@ def check_frames(frames: Sequence[int], count: int) -> list[int]:
     return sorted(set(frames))
 
 
-def _write_note(ax: Axes, text: str) -> None:
-    """Write a note in an empty chart."""
-    ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", fontsize=9)
+def _note_no_modes(ax: Axes) -> None:
+    ax.text(0.5, 0.5, "the model has no shape modes", transform=ax.transAxes, ha="center", va="center", fontsize=9)
     ax.set(xticks=[], yticks=[])

@@ -61,11 +61,7 @@ FIRST_HUE, LAST_HUE = 90.0, 330.0
 """Range of part hues in degrees of OKLCH, from straw to mauve; both ends are 60 degrees from the red of joints."""
 
 OKLAB_TO_LMS = np.array(
-    [
-        [1, 0.3963377774, 0.2158037573],
-        [1, -0.1055613458, -0.0638541728],
-        [1, -0.0894841775, -1.2914855480],
-    ]
+    [[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728], [1, -0.0894841775, -1.2914855480]]
 )
 LMS_TO_RGB = np.array(
     [
@@ -137,53 +133,37 @@ def srgb(linear: FloatArray) -> Float:
     return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055))
 
 
-SCALE_QUANTILE = 0.99
-"""Quantile of measured values at which colour scales end, so that outliers do not darken all other faces."""
+PoseMeasure = Callable[[FloatArray], Float]
+"""Function from points ``(V, 3)`` to measured values ``(V,)``."""
 
 
-@dataclass(frozen=True, eq=False)
-class Strain:
-    """Measure of the strain of poses relative to a rest pose."""
+def strain_from_rest(rest: FloatArray, faces: IntArray) -> PoseMeasure:
+    """Return the mean edge strains of points, relative to a rest pose ``(V, 3)`` of triangles ``(F, 3)``."""
+    edges = Topology(faces, len(rest)).edges
+    rest_lengths = edge_lengths(np.asarray(rest, dtype=np.float64), edges)
 
-    edges: IntArray  # (E, 2) edges of the mesh
-    lengths: Float  # (E,) edge lengths at rest
+    def measure(points: FloatArray) -> Float:
+        lengths = edge_lengths(np.asarray(points, dtype=np.float64), edges)
+        strain = np.abs(np.divide(lengths, rest_lengths, out=np.ones_like(lengths), where=rest_lengths > 0) - 1)
+        return _vertex_means(strain, edges, len(points))
 
-    @classmethod
-    def from_rest(cls, points: FloatArray, faces: IntArray) -> Strain:
-        """Measure against a rest pose ``(V, 3)`` of triangles ``(F, 3)``."""
-        edges = Topology(faces, len(points)).edges
-        return cls(edges, edge_lengths(np.asarray(points, dtype=np.float64), edges))
-
-    def __call__(self, points: FloatArray) -> Float:
-        """Return mean edge strains ``(V,)`` for points ``(V, 3)``."""
-        lengths = edge_lengths(np.asarray(points, dtype=np.float64), self.edges)
-        has_length = self.lengths > 0
-        strain = np.abs(np.divide(lengths, self.lengths, out=np.ones_like(lengths), where=has_length) - 1)
-        return _vertex_means(strain, self.edges, len(points))
+    return measure
 
 
-@dataclass(frozen=True, eq=False)
-class Curvature:
-    """Measure of the change of dihedral angles of poses relative to a rest pose."""
+def curvature_from_rest(rest: FloatArray, faces: IntArray) -> PoseMeasure:
+    """Return the mean changes of dihedral angles in degrees, 0 to 180, from a rest pose ``(V, 3)``."""
+    topology = Topology(faces, len(rest))
+    rest_angles, was_defined = _hinge_angles(rest, topology)
 
-    topology: Topology  # edges, hinges and faces of the mesh
-    angles: Float  # (H,) dihedral angles at rest, in radians
-    is_defined: NDArray[np.bool_]  # (H,) whether both faces have an area at rest
+    def measure(points: FloatArray) -> Float:
+        angles, is_defined = _hinge_angles(points, topology)
+        change = np.where(is_defined & was_defined, np.abs(wrap_angles(angles - rest_angles)), 0.0)
+        return np.degrees(_vertex_means(change, topology.hinges[:, :2], len(points)))
 
-    @classmethod
-    def from_rest(cls, points: FloatArray, faces: IntArray) -> Curvature:
-        """Measure against a rest pose ``(V, 3)`` of triangles ``(F, 3)``."""
-        topology = Topology(faces, len(points))
-        return cls(topology, *_hinge_angles(points, topology))
-
-    def __call__(self, points: FloatArray) -> Float:
-        """Return mean changes ``(V,)`` of dihedral angles in degrees, 0 to 180, for points ``(V, 3)``."""
-        angles, is_defined = _hinge_angles(points, self.topology)
-        change = np.where(is_defined & self.is_defined, np.abs(wrap_angles(angles - self.angles)), 0.0)
-        return np.degrees(_vertex_means(change, self.topology.hinges[:, :2], len(points)))
+    return measure
 
 
-MEASURES: dict[str, type[Strain | Curvature]] = {"strain": Strain, "curvature": Curvature}
+MEASURES = {"strain": strain_from_rest, "curvature": curvature_from_rest}
 """Measures by the name of the colouring that displays them."""
 
 
@@ -261,8 +241,8 @@ UNITS = {"error": "diagonals", "strain": "%", "curvature": "degrees", "values": 
 MIN_SCALE_ENDS = {"error": 1e-12, "strain": 0.01, "curvature": 0.01}
 """Smallest ends of the scales, in `UNITS`, above rounding errors of rigid motions in single precision."""
 
-SCALE_QUANTILES = {"error": 1.0, "strain": SCALE_QUANTILE, "curvature": SCALE_QUANTILE, "values": 1.0}
-"""Quantiles of the measured values at which the scales end."""
+SCALE_QUANTILES = {"error": 1.0, "strain": 0.99, "curvature": 0.99, "values": 1.0}
+"""Quantiles of the measured values at which the scales end, so that outliers do not darken all other faces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,7 +387,7 @@ def _make_measure(
 ) -> Measure:
     """Return the measure of a colouring, in the unit of its values, relative to rest points ``(V, 3)``."""
     if name in MEASURES:
-        measure, factor = MEASURES[name].from_rest(rest, faces), 100 if name == "strain" else 1
+        measure, factor = MEASURES[name](rest, faces), 100 if name == "strain" else 1
         return lambda points, elapsed: factor * measure(points)
     assert original is not None
     first = original(0.0)

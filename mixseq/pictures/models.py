@@ -99,11 +99,7 @@ def vertex_errors(
 
 
 def draw_frame_errors(
-    ax: Axes,
-    errors: VertexErrors,
-    times: Float,
-    tolerance: float | None = None,
-    fps: float | None = None,
+    ax: Axes, errors: VertexErrors, times: Float, tolerance: float | None = None, fps: float | None = None
 ) -> None:
     """Draw the largest and the root mean square error of each frame over the times ``(T,)``."""
     largest, rms = (np.maximum(values, MIN_DRAWN_ERROR) for values in (errors.largest, errors.rms))
@@ -115,16 +111,8 @@ def draw_frame_errors(
         drawn.append(np.array([tolerance]))
     worst = errors.worst
     number = f"{worst}" if fps is None else format_frame(times[worst], fps)
-    ax.plot(
-        times[worst],
-        largest[worst],
-        "o",
-        ms=9,
-        mfc="none",
-        mec=INK_COLOUR,
-        clip_on=False,
-        label=f"worst frame, {number}",
-    )
+    ring: dict[str, Any] = {"ms": 9, "mfc": "none", "mec": INK_COLOUR, "clip_on": False}
+    ax.plot(times[worst], largest[worst], "o", **ring, label=f"worst frame, {number}")
     log_axis(ax, np.concatenate(drawn))
     time_axis(ax, times[0], times[-1], fps)
     ax.set(title="Error per frame", ylabel="vertex error (diagonals)")
@@ -154,7 +142,8 @@ def draw_vertex_errors(
             draw_mesh(ax, points, original.faces, colours, original.up_axis, side, limits, contrast=0.25)
             screen = to_y_up(points, original.up_axis) @ side.rotation.T
             if not _is_hidden(worst_vertex, screen, original.faces):
-                _draw_ring(ax, screen[worst_vertex])
+                for colour, width in (("white", 3.5), (INK_COLOUR, 1.5)):
+                    ax.plot(*screen[worst_vertex, :2], "o", ms=12, mfc="none", mec=colour, mew=width, zorder=4)
         axes[0].set_title(f"Error per vertex: {title}\nmost at vertex {worst_vertex}", fontsize=10)
     return colour_map
 
@@ -167,11 +156,6 @@ def drawn_frames(errors: VertexErrors, frames: Sequence[int] | None) -> list[int
 def _title(errors: VertexErrors, original: MeshSequence, frame: int) -> str:
     label = "worst frame, " if frame == errors.worst else "frame "
     return f"{label}{original.frame_number(frame)} at {original.times[frame]:.3f} s"
-
-
-def _draw_ring(ax: Axes, point: Float) -> None:
-    for colour, width in (("white", 3.5), (INK_COLOUR, 1.5)):
-        ax.plot(point[0], point[1], "o", ms=12, mfc="none", mec=colour, mew=width, zorder=4)
 
 
 def _is_hidden(vertex: int, screen: Float, faces: IntArray) -> bool:
@@ -399,7 +383,8 @@ def _page_section(
 ) -> Section:
     match kind:
         case "embedding":
-            return _embedding(model, frames)
+            height = 4.6 * aspect_ratio(embedding_limits(model)) + 1.0
+            return Section(6.0, height, _on_one_chart(partial(draw_embedding, frames=frames), model))
         case "coefficients":
             return Section(7.5, 4.0, _on_one_chart(draw_coefficients, model))
         case "singular-values":
@@ -436,11 +421,6 @@ def _page_section(
         chosen = check_frames(frames, model.header.frame_count) if kind and frames is not None else None
         rows.append(_values(model, check_values(values, model.header), chosen, view, 4.5 if kind else 6.25))
     return stack_sections(*rows)
-
-
-def _embedding(model: Model, frames: Sequence[int] | None) -> Section:
-    height = 4.6 * aspect_ratio(embedding_limits(model)) + 1.0
-    return Section(6.0, height, _on_one_chart(partial(draw_embedding, frames=frames), model))
 
 
 def _on_one_chart(draw: Callable[[Axes, Model], None], model: Model) -> Callable[[FigureBase], None]:

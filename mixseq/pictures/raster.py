@@ -21,15 +21,7 @@ from scipy.ndimage import gaussian_filter
 
 from mixseq.mesh.measures import scatter_add
 from mixseq.mesh.triangle_mesh import area_normals, normalise
-from mixseq.pictures.scene import (
-    CLAY_COLOUR,
-    Limits,
-    View,
-    aspect_ratio,
-    shared_limits,
-    three_quarter_view,
-    to_y_up,
-)
+from mixseq.pictures.scene import CLAY_COLOUR, Limits, View, aspect_ratio, shared_limits, three_quarter_view, to_y_up
 from mixseq.runtime.jit import compiled
 from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.types import ByteArray, Float, FloatArray, Index, IntArray, Single

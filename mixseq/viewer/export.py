@@ -62,8 +62,11 @@ def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
     before, after = document.replace('<script src="loader.js"></script>', f"<script>{loader}</script>").split(
         _DATA_PLACEHOLDER
     )
-    elements = [_data_element(stream) for stream in (code, *data)]
-    return BYTE_ORDER_MARK + b"".join([before.encode(PAGE_ENCODING), *elements, after.encode(PAGE_ENCODING)])
+    page = [BYTE_ORDER_MARK, before.encode(PAGE_ENCODING)]
+    for stream in (code, *data):
+        opened, closed = f'<script type="text/plain" data-size="{len(stream)}">', "</script>\n"
+        page += [opened.encode(PAGE_ENCODING), encode_text(stream), closed.encode(PAGE_ENCODING)]
+    return b"".join([*page, after.encode(PAGE_ENCODING)])
 
 
 @cache
@@ -87,11 +90,6 @@ _DATA_PLACEHOLDER = "<!-- data -->"
 def _minify(text: str) -> str:
     """Remove indentation and comments from HTML or CSS, but keep the comment that marks the place of the data."""
     return re.sub(r"\n\s*", "\n", re.sub(r"<!--(?! data).*?-->|/\*.*?\*/", "", text))
-
-
-def _data_element(data: bytes) -> bytes:
-    opened, closed = f'<script type="text/plain" data-size="{len(data)}">', "</script>\n"
-    return opened.encode(PAGE_ENCODING) + encode_text(data) + closed.encode(PAGE_ENCODING)
 
 
 MAX_PAGE_FRAMES = 20_000

@@ -5,6 +5,7 @@ Edits run in order. Previews follow the mouse: only the newest preview runs, aft
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -343,9 +344,14 @@ class Session(JobQueue[_Job]):
 
 
 def _script_of(history: EditHistory) -> str:
-    """Return the text of a script with the edits up to the current step; retimings do not depend on the body."""
+    """Return the text of a script with the edits up to the current step; it names a body that is not the model's own.
+
+    Retimings do not depend on the body.
+    """
     steps = [step for step in history.states[: history.index + 1] if step.edit is not None]
     names = {step.model.header.name: None for step in steps if not step.keys}
+    own = history.states[0].model.header.name
     if len(names) > 1:
         raise SettingsError(f"a script edits one body, and these edits were made on {', '.join(names)}; save a model")
-    return format_script([step.edit for step in steps if step.edit is not None])
+    edited = "".join(f"# mixseq edit --body {json.dumps(name)}\n\n" for name in names if name != own)
+    return edited + format_script([step.edit for step in steps if step.edit is not None])

@@ -196,16 +196,7 @@ def told(folder: Path) -> Seen:
     return {"messages": found}
 
 
-TASKS: tuple[Callable[[Path], Seen], ...] = (
-    several,
-    retimed,
-    reopened,
-    baked,
-    coloured,
-    rendered,
-    told,
-    scrubbed,
-)
+TASKS: tuple[Callable[[Path], Seen], ...] = (several, retimed, reopened, baked, coloured, rendered, told, scrubbed)
 
 
 def brought(path: Path) -> Any:

@@ -44,10 +44,7 @@ class Truth:
         moments = (task.source, task.source - STEP, task.source + STEP, SHOT / BASE)
         outputs = [folder / f"truth{number}" for number in range(len(moments))]
         jobs = zip(moments, outputs, strict=True)
-        show(
-            [{"open": scene, "frames": (times * fine).tolist(), "output": str(path)} for times, path in jobs],
-            folder,
-        )
+        show([{"open": scene, "frames": (times * fine).tolist(), "output": str(path)} for times, path in jobs], folder)
         now, before, after, shot = map(Seen.read, outputs)
         return cls(now, (after.together("points") - before.together("points")) / (2 * STEP), shot)
 

@@ -18,15 +18,7 @@ from click.testing import CliRunner
 
 import mixseq
 from mixseq.blender import extension
-from mixseq.blender.extension import (
-    ADDON_FOLDER,
-    PLATFORMS,
-    RELEASES,
-    Release,
-    archive_name,
-    manifest,
-    this_platform,
-)
+from mixseq.blender.extension import ADDON_FOLDER, PLATFORMS, RELEASES, Release, archive_name, manifest, this_platform
 from mixseq.cli import blender, main
 from mixseq.errors import OutputError, SettingsError
 
@@ -82,12 +74,7 @@ def test_the_archive_holds_all_that_its_manifest_names(archive: zipfile.ZipFile)
     inside = set(archive.namelist())
     found = tomllib.loads(archive.read("blender_manifest.toml").decode())
     named = {wheel.removeprefix("./") for wheel in found["wheels"]}
-    assert inside == {
-        "blender_manifest.toml",
-        "LICENSE",
-        *(each.name for each in ADDON_FOLDER.glob("*.py")),
-        *named,
-    }
+    assert inside == {"blender_manifest.toml", "LICENSE", *(each.name for each in ADDON_FOLDER.glob("*.py")), *named}
     assert archive.read("LICENSE").startswith(b"MIT License")
     assert archive.read(f"wheels/{LIBRARY}") == b"a wheel"
 
@@ -109,11 +96,7 @@ def test_the_wheel_matches_its_record(tmp_path: Path) -> None:
                 plain = urlsafe_b64encode(sha256(wheel.read(name)).digest()).decode().rstrip("=")
                 assert digest == f"sha256={plain}"
     assert {"mixseq/__init__.py", "mixseq_io/model_files.py"} <= rows.keys()
-    assert {name.rpartition("/")[2] for name in rows if "dist-info" in name} >= {
-        "METADATA",
-        "WHEEL",
-        "LICENSE",
-    }
+    assert {name.rpartition("/")[2] for name in rows if "dist-info" in name} >= {"METADATA", "WHEEL", "LICENSE"}
 
 
 def test_the_wheel_decodes_models_with_only_its_libraries(tmp_path: Path) -> None:
@@ -127,10 +110,7 @@ print(*sorted({name.partition('.')[0] for name in sys.modules}))
 """
     golden = Path(__file__).parents[1] / "formats/golden"
     words = [sys.executable, "-c", code, *(str(golden / name) for name in ("model-v1.h5", "compressed-v1-uvs.h5"))]
-    environment = {
-        "PYTHONPATH": str(path),
-        "NUMBA_DISABLE_JIT": "1",
-    }  # nothing compiled can be kept in an archive
+    environment = {"PYTHONPATH": str(path), "NUMBA_DISABLE_JIT": "1"}  # nothing compiled can be kept in an archive
     done = subprocess.run(words, env=environment, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     others = {"click", "rich", "trimesh", "pxr", "matplotlib", "dask", "alembic3d", "viser"}
@@ -164,15 +144,7 @@ def test_the_command_offers_what_there_is() -> None:
 
 
 def test_the_command_writes_an_archive_for_each_platform(downloaded: None, tmp_path: Path) -> None:
-    words = [
-        "blender",
-        "--out",
-        str(tmp_path / "new"),
-        "--platform",
-        "linux-x64",
-        "--platform",
-        "windows-x64",
-    ]
+    words = ["blender", "--out", str(tmp_path / "new"), "--platform", "linux-x64", "--platform", "windows-x64"]
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 0, done.output
     names = {archive_name(each, RELEASES["4.2"]) for each in ("linux-x64", "windows-x64")}

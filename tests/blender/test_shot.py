@@ -48,12 +48,7 @@ def scene(frames: int = 4, order: slice = slice(None)) -> Seen:
     place = np.argsort(number)
     corners = [[0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6]]
     arrays: dict[str, Float] = {"camera": np.repeat(np.eye(4)[None], frames, axis=0)}
-    names: dict[str, Any] = {
-        "objects": [["/rig", "EMPTY"]],
-        "lenses": [35.0],
-        "frame_start": 1,
-        "frame_end": frames,
-    }
+    names: dict[str, Any] = {"objects": [["/rig", "EMPTY"]], "lenses": [35.0], "frame_start": 1, "frame_end": frames}
     names["meshes"] = {}
     for aside, name in enumerate(MESHES):
         moved = points[number] + [20.0 * aside, 0.0, 0.0] + np.arange(frames)[:, None, None] * [0.0, 0.0, 0.5]

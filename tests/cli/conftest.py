@@ -21,6 +21,13 @@ from mixseq.signals.model import Model
 from tests.pictures.conftest import LOW_RESOLUTION, set_resolution
 
 Run = Callable[..., Result]
+Contents = Callable[[], dict[str, bytes | None]]
+
+
+def succeed(result: Result) -> str:
+    """Return what a command printed that ended without an error or a warning."""
+    assert (result.exit_code, result.stderr) == (0, "")
+    return result.stdout
 
 
 @pytest.fixture(autouse=True)
@@ -115,7 +122,7 @@ def made_once(run: Run, folder: Path, files_made: dict[tuple[str, ...], bytes]) 
 
 
 @pytest.fixture
-def contents(folder: Path) -> Callable[[], dict[str, bytes | None]]:
+def contents(folder: Path) -> Contents:
     """Return the names and contents of everything in the folder."""
     return lambda: {
         str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.operations import key_poses, reverse, with_body
 from mixseq.signals.model import Model
+from tests.cli.conftest import Run
 from tests.meshes import bar
 from tests.viewer.pages import Opened
-
-Run = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")

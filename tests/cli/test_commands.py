@@ -6,7 +6,6 @@ import inspect
 import json
 import re
 import shlex
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,19 +18,13 @@ import mixseq
 from mixseq.cli import main
 from mixseq.mesh.surface import MeshObject, Surface
 from mixseq.sequence.sequence import MeshSequence
+from tests.cli.conftest import Run, succeed
 from tests.meshes import COARSE_CELL_METRES, bent, tube
 
 pytestmark = pytest.mark.slow
 
-Run = Callable[..., Result]
 
 COMMANDS = main.list_commands(click.Context(main))
-
-
-def succeed(result: Result) -> str:
-    """The output; without a terminal there is no progress bar, so stderr is empty."""
-    assert (result.exit_code, result.stderr) == (0, "")
-    return result.stdout
 
 
 def rows(text: str) -> dict[str, str]:

@@ -12,7 +12,6 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.cli.group import as_bytes
@@ -20,17 +19,11 @@ from mixseq.mesh.surface import CornerValues
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.coded.streams import Stream, StreamIndex, read_index
 from mixseq_io.model_files import read_compressed
+from tests.cli.conftest import Contents, Run, succeed
 from tests.compression.encoder.test_numbering import shuffled
 from tests.meshes import bar
 
 pytestmark = pytest.mark.slow
-
-Run = Callable[..., Result]
-
-
-def succeed(result: Result) -> str:
-    assert (result.exit_code, result.stderr) == (0, "")
-    return result.stdout
 
 
 def rows(text: str) -> dict[str, str]:
@@ -172,7 +165,7 @@ def test_encode_in_an_order_of_our_own(run: Run) -> None:
         ("--size 1MB --volume 1", "--volume is for"),
     ],
 )
-def test_encode_refuses(run: Run, contents: Callable[[], dict[str, bytes | None]], options: str, message: str) -> None:
+def test_encode_refuses(run: Run, contents: Contents, options: str, message: str) -> None:
     before = contents()
     result = run("encode", "bar.npz", "old.h5", *options.split())
     assert result.exit_code == 2

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.cli import files, group
 from mixseq.cli.group import print_table, printable, progress_bar
 from mixseq.sequence.sequence import MeshSequence
-
-Run = Callable[..., Result]
+from tests.cli.conftest import Run
 
 NAME = "\x1b]0;owned\x07\x1b[2J\x9b31m\x7f\u202egpj.exe\u2028[/red]\ud800"
 SHOWN = r"\x1b]0;owned\x07\x1b[2J\x9b31m\x7f\u202egpj.exe\u2028[/red]\ud800"

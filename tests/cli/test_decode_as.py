@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.sequence.sequence import MeshSequence
-from tests.cli.test_commands import rows, succeed
+from tests.cli.conftest import Contents, Run, succeed
+from tests.cli.test_commands import rows
 from tests.formats.gltf_files import Gltf
 
 pytestmark = pytest.mark.slow
-
-Run = Callable[..., Result]
 
 
 def number(text: str) -> float:
@@ -175,23 +172,15 @@ def test_quiet_tells_only_the_file(run: Run) -> None:
         (("out.glb", "--as", "skin", "--skeleton", "none.glb"), "none.glb does not exist"),
         (("out.glb", "--as", "morph", "--bones", "3"), "--bones is for --as skin"),
         (("out.glb", "--as", "morph", "--correctives", "0.1"), "--correctives is for --as skin"),
-        (
-            ("out.glb", "--as", "skin", "--velocities"),
-            "a skin has no place for velocities; leave out --velocities",
-        ),
-        (
-            ("out.glb", "--as", "skin", "--onto", "bar.usdc"),
-            "no place for other files to build on; leave out --onto",
-        ),
+        (("out.glb", "--as", "skin", "--velocities"), "a skin has no place for velocities; leave out --velocities"),
+        (("out.glb", "--as", "skin", "--onto", "bar.usdc"), "no place for other files to build on; leave out --onto"),
         (("out.glb", "--as", "skin", "--clips", "3"), "no place for clips; leave out --clips, or --as"),
         (("out.abc", "--as", "skin"), "skins and morphs are written as glTF or USD; end the name in .glb, "),
         (("out.glb", "--as", "skin", "--times", "0", "--end", "1"), "leave out --start and --end"),
         (("nowhere/out.glb", "--as", "skin"), "does not exist; make it first"),
     ],
 )
-def test_what_does_not_fit_is_refused(
-    run: Run, contents: Callable[[], dict[str, bytes | None]], arguments: tuple[str, ...], message: str
-) -> None:
+def test_what_does_not_fit_is_refused(run: Run, contents: Contents, arguments: tuple[str, ...], message: str) -> None:
     before = contents()
     result = run("decode", "model.h5", *arguments)
     assert result.exit_code == 2
@@ -238,7 +227,7 @@ def test_textures(run: Run) -> None:
     ]  # fmt: skip
 
 
-def test_textures_replace_those_of_an_older_run(run: Run, contents: Callable[[], dict[str, bytes | None]]) -> None:
+def test_textures_replace_those_of_an_older_run(run: Run, contents: Contents) -> None:
     succeed(run("decode", "model.h5", "bar.vat", "--max-error", "1e-3"))
     Path("bar.vat/points.png.import").write_text("an engine's")
     before = contents()
@@ -256,7 +245,7 @@ def test_textures_replace_those_of_an_older_run(run: Run, contents: Callable[[],
     assert not Path("bar.vat/coefficients.png").exists()
 
 
-def test_only_files_of_textures_are_lost(run: Run, contents: Callable[[], dict[str, bytes | None]]) -> None:
+def test_only_files_of_textures_are_lost(run: Run, contents: Contents) -> None:
     """What else is in the folder, or below it, may be the source, or what the sequence came from."""
     succeed(run("decode", "model.h5", "bar.vat"))
     Path("bar.vat/deep").mkdir()
@@ -283,7 +272,7 @@ def test_only_files_of_textures_are_lost(run: Run, contents: Callable[[], dict[s
     assert contents() == before
 
 
-def test_a_file_is_no_folder_of_textures(run: Run, contents: Callable[[], dict[str, bytes | None]]) -> None:
+def test_a_file_is_no_folder_of_textures(run: Run, contents: Contents) -> None:
     Path("old.vat").write_text("somebody's work")
     before = contents()
     assert "old.vat is a file; give the name of a folder" in run("decode", "model.h5", "old.vat").stderr

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.operations import repeat, reverse, transition, travel_of
 from mixseq.operations.script import OPERATIONS
 from mixseq.signals.model import Model
+from tests.cli.conftest import Contents, Run
 
 pytestmark = pytest.mark.slow
 
-Run = Callable[..., Result]
 
 REPEAT = """
 [[edit]]
@@ -149,12 +147,7 @@ def test_the_help_knows_all_operations(run: Run) -> None:
     ],
 )
 def test_what_goes_wrong_is_one_line_and_nothing_changes(
-    run: Run,
-    folder: Path,
-    contents: Callable[[], dict[str, bytes | None]],
-    arguments: str,
-    text: str,
-    message: str,
+    run: Run, folder: Path, contents: Contents, arguments: str, text: str, message: str
 ) -> None:
     (folder / "edits.toml").write_text(text)
     before = contents()

@@ -7,15 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq_io.model_files import read_container
-from tests.cli.test_compress import rows, succeed
+from tests.cli.conftest import Run, succeed
+from tests.cli.test_compress import rows
 
 pytestmark = pytest.mark.slow
-
-Run = Callable[..., Result]
 
 
 @pytest.fixture
@@ -55,10 +53,7 @@ def test_compressed_models_become_glb_as_they_are(run: Run) -> None:
     ("arguments", "message"),
     [
         ("bar.npz new.glb", r"a .glb holds compressed models; give --max-error, --kg or --size, too"),
-        (
-            "anchored.h5 new.glb",
-            "anchored.h5 is not a compressed model; make one with mixseq encode --max-error",
-        ),
+        ("anchored.h5 new.glb", "anchored.h5 is not a compressed model; make one with mixseq encode --max-error"),
         ("bar.npz new.h5 --max-error 0.001 --still none", "--still is for .glb files; leave it out"),
         ("bar.npz new.obj --max-error 0.001", "end the name in .h5 or .hdf5, or in .glb for the web"),
     ],

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -22,9 +21,7 @@ import mixseq
 from mixseq.cli import group
 from mixseq.cli.group import MIN_ADDRESS_SPACE, exit_code, is_short_of_memory, limit_threads
 from mixseq.errors import MissingExtraError, MixseqError, SettingsError
-
-Run = Callable[..., Result]
-Contents = Callable[[], dict[str, bytes | None]]
+from tests.cli.conftest import Contents, Run
 
 FAILURES: list[tuple[str, str]] = [
     # No such file.
@@ -170,12 +167,7 @@ def test_an_error_while_writing(run: Run, contents: Contents, monkeypatch: pytes
     ],
 )
 def test_interrupt(
-    run: Run,
-    contents: Contents,
-    monkeypatch: pytest.MonkeyPatch,
-    line: str,
-    where: str,
-    error: type[BaseException],
+    run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch, line: str, where: str, error: type[BaseException]
 ) -> None:
     def stop(*_: object, **__: object) -> NoReturn:
         raise error

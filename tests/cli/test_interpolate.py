@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.choices import SPACES
 from mixseq.cli.interpolate import command
 from mixseq.sequence.sequence import MeshSequence
-
-Run = Callable[..., Result]
-Contents = Callable[[], dict[str, bytes | None]]
-
-
-def succeed(result: Result) -> str:
-    assert (result.exit_code, result.stderr) == (0, "")
-    return result.stdout
+from tests.cli.conftest import Contents, Run, succeed
 
 
 def test_spaces_are_those_of_the_code() -> None:
@@ -47,19 +38,7 @@ def test_all_spaces(run: Run, space: str, bent_bar: MeshSequence) -> None:
 
 def test_from_one_pose_to_another(run: Run, bent_bar: MeshSequence) -> None:
     text = succeed(
-        run(
-            "interpolate",
-            "bar.npz",
-            "new.npz",
-            "--pose",
-            "3",
-            "--pose",
-            "1",
-            "--steps",
-            "5",
-            "--threads",
-            "1",
-        )
+        run("interpolate", "bar.npz", "new.npz", "--pose", "3", "--pose", "1", "--steps", "5", "--threads", "1")
     )
     assert "poses   1, 3\nframes  5\n" in text
     new = mixseq.read("new.npz")
@@ -114,10 +93,7 @@ HALVES = "--pose 0=1/2 --pose 1=1/2"
         ("bar.npz new.npz --pose 1=0.5", "weights add up to 0.5 and must add up to 1; divide them by"),
         ("bar.npz new.npz --steps 3", "there are 4 poses; name two of them by --pose FRAME --pose FRAME"),
         ("bar.npz new.npz --steps 3 --pose 1", "give --pose twice, not 1 times"),
-        (
-            "bar.npz new.npz --steps 3 --pose 1 --pose 2=1",
-            "--steps chooses the weights; give --pose 2 without",
-        ),
+        ("bar.npz new.npz --steps 3 --pose 1 --pose 2=1", "--steps chooses the weights; give --pose 2 without"),
         ("bar.npz new.npz --steps 1 --pose 1 --pose 2", "'--steps': 1 is not in the range x>=2"),
         (f"bar.npz new.npz {HALVES} --space vertex --parts 2", "the vertex space has no use for parts"),
         (

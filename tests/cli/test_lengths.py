@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import click
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
-from mixseq.cli.group import length_text
-from mixseq.cli.options import in_diagonals, parse_length
+from mixseq.cli.group import in_diagonals, length_text, parse_length
 from mixseq.errors import SettingsError
 from mixseq_io.model_files import read_compressed
-
-Run = Callable[..., Result]
+from tests.cli.conftest import Run
 
 
 def moving(scale: float = 1.0, metres_per_unit: float = 1.0) -> mixseq.MeshSequence:

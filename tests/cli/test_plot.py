@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.choices import PICTURES
 from mixseq.errors import MissingExtraError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
+from tests.cli.conftest import Contents, Run
 
 pytestmark = pytest.mark.slow
 
-Run = Callable[..., Result]
-Contents = Callable[[], dict[str, bytes | None]]
 
 pytest.importorskip("matplotlib")
 

@@ -182,11 +182,7 @@ print("loaded:", sorted(heavy & set(sys.modules)))
 
 def test_help_imports_no_numerical_packages() -> None:
     result = subprocess.run(
-        [sys.executable, "-W", "error", "-c", HELP],
-        capture_output=True,
-        timeout=PATIENCE,
-        text=True,
-        check=True,
+        [sys.executable, "-W", "error", "-c", HELP], capture_output=True, timeout=PATIENCE, text=True, check=True
     )
     assert result.stdout.endswith("loaded: []\n")
     assert result.stderr == ""

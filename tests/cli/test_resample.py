@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
 from pxr import Usd, UsdGeom
 
 import mixseq
 from mixseq.operations import resample
 from mixseq.runtime.parallel import serial_executor
 from mixseq.sequence.sequence import MeshSequence
+from tests.cli.conftest import Contents, Run, succeed
 from tests.formats.gltf_maker import JOINTS, skinned
 from tests.motions import MESH, moving
-
-Run = Callable[..., Result]
-Contents = Callable[[], dict[str, bytes | None]]
-
-
-def succeed(result: Result) -> str:
-    assert (result.exit_code, result.stderr) == (0, "")
-    return result.stdout
 
 
 @pytest.mark.parametrize(
@@ -263,8 +254,7 @@ def test_velocities_that_cannot_be_held(run: Run, command: str) -> None:
     result = run(command, "model.h5", "new_#.obj", "--velocities")
     assert result.exit_code == 0
     assert re.fullmatch(
-        r"mixseq: warning: new_#.obj: OBJ files cannot hold 10 frames per second, velocities; .*\n",
-        result.stderr,
+        r"mixseq: warning: new_#.obj: OBJ files cannot hold 10 frames per second, velocities; .*\n", result.stderr
     )
     assert len(list(Path().glob("new_?.obj"))) == 4
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
 from pxr import Usd, UsdGeom
 
 import mixseq
@@ -17,15 +15,8 @@ from mixseq.choices import SEGMENTATIONS
 from mixseq.cli.segment import numbered
 from mixseq.segmentation.methods import METHODS
 from mixseq_io import read_labels
+from tests.cli.conftest import Contents, Run, succeed
 from tests.formats.gltf_maker import Maker
-
-Run = Callable[..., Result]
-Contents = Callable[[], dict[str, bytes | None]]
-
-
-def succeed(result: Result) -> str:
-    assert (result.exit_code, result.stderr) == (0, "")
-    return result.stdout
 
 
 def test_a_usd_file_gets_subsets_and_keeps_its_points(run: Run, folder: Path) -> None:

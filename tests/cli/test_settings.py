@@ -10,17 +10,19 @@ from click.testing import CliRunner
 
 import mixseq
 from mixseq.cli import main
-from mixseq.cli.options import CommandWithSettings, setting
+from mixseq.cli.options import argument, command, option, setting
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from tests.cli.conftest import Run
 
 
-@click.command("try", cls=CommandWithSettings)
-@click.argument("words", nargs=-1)
-@click.option("--loud", is_flag=True, help="Loudly.")
-@setting("--how-often", type=int, metavar="N", help="So often.")
-@setting("--polite/--rude", default=True, help="Say please.")
-@setting("--all", "everything", is_flag=True, help="All of it.")
+@command(
+    "try",
+    words=argument(nargs=-1, type=str),
+    loud=option("--loud", "Loudly."),
+    how_often=setting("--how-often N", "So often.", type=int),
+    polite=setting("--polite/--rude", "Say please.", default=True),
+    everything=setting("--all", "All of it."),
+)
 def tried(words: tuple[str, ...], loud: bool, how_often: int | None, polite: bool, everything: bool) -> None:
     click.echo(f"{' '.join(words)}|{loud}|{how_often}|{polite}|{everything}")
 

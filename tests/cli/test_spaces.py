@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.choices import SPACES
 from mixseq.cli.encode import command
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.edge import EdgeSpace
+from tests.cli.conftest import Run, succeed
 
 pytestmark = pytest.mark.slow
 
-Run = Callable[..., Result]
 
 NEW = ("gradient", "lri", "edge")
-
-
-def succeed(result: Result) -> str:
-    assert (result.exit_code, result.stderr) == (0, "")
-    return result.stdout
 
 
 def test_choices_are_the_spaces_of_the_code() -> None:
@@ -67,19 +60,10 @@ def test_settings_of_the_edge_space(run: Run) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (
-            "--space vertex --parts 2",
-            "the vertex space has no use for parts; leave it out, or choose space='mixed'",
-        ),
+        ("--space vertex --parts 2", "the vertex space has no use for parts; leave it out, or choose space='mixed'"),
         ("--space lri --placement free", "the lri space has no use for placement"),
-        (
-            "--projection dso",
-            "the mixed space has no use for projection; leave it out, or choose space='edge'",
-        ),
-        (
-            "--space edge --volume 2",
-            "projection 'steps' has no use for volume; leave it out, or choose 'dso'",
-        ),
+        ("--projection dso", "the mixed space has no use for projection; leave it out, or choose space='edge'"),
+        ("--space edge --volume 2", "projection 'steps' has no use for volume; leave it out, or choose 'dso'"),
     ],
 )
 def test_settings_for_nothing_are_refused(run: Run, folder: Path, options: str, message: str) -> None:

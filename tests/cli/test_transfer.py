@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
+from tests.cli.conftest import Contents, Run, succeed
 from tests.meshes import tube
 
 pytestmark = pytest.mark.slow
-
-Run = Callable[..., Result]
-Contents = Callable[[], dict[str, bytes | None]]
-
-
-def succeed(result: Result) -> str:
-    assert (result.exit_code, result.stderr) == (0, "")
-    return result.stdout
 
 
 def write_mesh(path: Path, points: FloatArray, faces: Any) -> None:
@@ -97,19 +88,7 @@ def test_json_has_the_values_of_the_table(run: Run, bar: MeshSequence) -> None:
 
 def test_a_map_is_kept_and_used_again(run: Run, bar: MeshSequence) -> None:
     options = ("--method", "gradients", "--no-picture", "--quiet")
-    succeed(
-        run(
-            "transfer",
-            "bar.npz",
-            "fine.npz",
-            "one.npz",
-            "--map",
-            "map.txt",
-            "--save-map",
-            "kept.npz",
-            *options,
-        )
-    )
+    succeed(run("transfer", "bar.npz", "fine.npz", "one.npz", "--map", "map.txt", "--save-map", "kept.npz", *options))
     text = succeed(run("transfer", "bar.npz", "fine.npz", "two.npz", "--map", "kept.npz", *options))
     assert text.startswith("wrote two.npz")
     np.testing.assert_array_equal(mixseq.read("one.npz").points, mixseq.read("two.npz").points)
@@ -126,16 +105,7 @@ def test_markers_and_their_report(run: Run, bar: MeshSequence) -> None:
         "\n".join(" ".join(line.split()[::-1]) for line in Path("markers.txt").read_text().splitlines())
     )
     text = succeed(
-        run(
-            "transfer",
-            "bar.npz",
-            "fine.npz",
-            "two.npz",
-            "--markers",
-            "pairs.txt",
-            "--reverse",
-            "--no-picture",
-        )
+        run("transfer", "bar.npz", "fine.npz", "two.npz", "--markers", "pairs.txt", "--reverse", "--no-picture")
     )
     lines = [line for line in text.splitlines() if not line.startswith(" ")]  # without wrapped cells
     assert [line.split()[0] for line in lines[2:5]] == ["corresponds", "matched", "markers"]

@@ -11,7 +11,7 @@ import sys
 import sysconfig
 import time
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,6 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.cli import view as module
@@ -33,12 +32,11 @@ from mixseq.signals.model import Model
 from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live import viewer as live
 from mixseq.viewer.session import Save
+from tests.cli.conftest import Contents, Run
 from tests.viewer.pages import Opened
 
 pytestmark = pytest.mark.slow
 
-Run = Callable[..., Result]
-Contents = Callable[[], dict[str, bytes | None]]
 
 MIXSEQ = str(Path(sysconfig.get_path("scripts")) / "mixseq")
 PATIENCE = 60.0
@@ -58,10 +56,7 @@ PATIENCE = 60.0
         ("view cut_model.h5", "cut_model.h5"),
         ("view bar.npz none.usdc", "none.usdc.* does not exist"),
         ("view bar.npz --fps 0", "--fps.*0.0 is not in the range"),
-        (
-            "view bar.npz --export new.html --fps 0.1",
-            "a film has 2 to 100,000, change its duration or its frame rate",
-        ),
+        ("view bar.npz --export new.html --fps 0.1", "a film has 2 to 100,000, change its duration or its frame rate"),
         ("view bar.npz --port 0", "--port.*0 is not in the range"),
         ("view bar.npz --every 2", "--every is about pages; give --export as well"),
         ("view bar.npz --max-error 0.1", "--max-error is about pages; give --export as well"),
@@ -69,10 +64,7 @@ PATIENCE = 60.0
         ("view bar.npz --against other.npz", "none of the meshes has .* errors need the same topology"),
         ("view bar.npz --prim /mesh", "none of the files is read with an option 'prim'"),
         ("view bar.usdc --prim /none", "/none"),
-        (
-            "view bar.npz --export new.html --port 9000",
-            "--port is about the viewer in a browser; leave it out",
-        ),
+        ("view bar.npz --export new.html --port 9000", "--port is about the viewer in a browser; leave it out"),
         ("view bar.npz --export new.html --read-only", "--read-only is about the viewer in a browser"),
         ("view bar.npz --export new.html --host 0.0.0.0", "--host is about the viewer in a browser"),
         ("view bar.npz --export new.html --no-browser", "--no-browser is about the viewer in a browser"),
@@ -210,17 +202,7 @@ def test_the_address_is_told(run: Run, room: Room) -> None:
 
 
 def test_what_is_shown(run: Run, room: Room) -> None:
-    run(
-        "view",
-        "bar.npz",
-        "model.h5",
-        "bar.usdc",
-        "--against",
-        "bar_sequence.h5",
-        "--fps",
-        "30",
-        "--no-browser",
-    )
+    run("view", "bar.npz", "model.h5", "bar.usdc", "--against", "bar_sequence.h5", "--fps", "30", "--no-browser")
     scene = room.colours.scene
     assert [item.name for item in scene.items] == ["bar.npz", "model.h5", "bar.usdc"]
     assert [isinstance(item.motion, Model) for item in scene.items] == [False, True, False]
@@ -271,12 +253,7 @@ def test_settings(run: Run, room: Room) -> None:
     ],
 )
 def test_a_browser_where_there_is_a_screen(
-    run: Run,
-    room: Room,
-    monkeypatch: pytest.MonkeyPatch,
-    options: list[str],
-    environment: dict[str, str],
-    opens: bool,
+    run: Run, room: Room, monkeypatch: pytest.MonkeyPatch, options: list[str], environment: dict[str, str], opens: bool
 ) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SSH_CONNECTION"):
@@ -345,10 +322,7 @@ def first_line(process: subprocess.Popen[str]) -> str:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (
-            "--host 192.0.2.7",
-            "cannot listen at 192.0.2.7:8080: .*; give another --host",
-        ),  # of RFC 5737, nobody's
+        ("--host 192.0.2.7", "cannot listen at 192.0.2.7:8080: .*; give another --host"),  # of RFC 5737, nobody's
         ("--host nohost.invalid", "cannot listen at nohost.invalid:8080: .*; give another --host"),
         ("--port {taken}", "cannot listen at 127.0.0.1:.*in use; give another --port"),
     ],
@@ -370,8 +344,7 @@ def test_it_runs_until_it_is_interrupted(folder: Path) -> None:
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             found = re.fullmatch(
-                r"mixseq view: (http://127\.0\.0\.1:\d+/\?token=[\w-]{43}) \(Ctrl-C ends it\)\n",
-                first_line(process),
+                r"mixseq view: (http://127\.0\.0\.1:\d+/\?token=[\w-]{43}) \(Ctrl-C ends it\)\n", first_line(process)
             )
             assert found
             with urlopen(found[1], timeout=PATIENCE) as response:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
 
 import mixseq
 from mixseq.cli import view as module
@@ -20,12 +19,11 @@ from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live import marking as live
 from mixseq.viewer.live.marking import MarkedMeshes
 from mixseq.viewer.marking import Marking, Pair
+from tests.cli.conftest import Run
 from tests.meshes import bar, tube
 
 pytestmark = pytest.mark.slow
 pytest.importorskip("viser", reason="the extra viewer is not installed")
-
-Run = Callable[..., Result]
 
 
 @pytest.fixture
@@ -69,10 +67,7 @@ def room(monkeypatch: pytest.MonkeyPatch) -> Room:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        (
-            "bar.npz --markers pairs.txt",
-            "markers are of two meshes, a source and a target; 1 files were given",
-        ),
+        ("bar.npz --markers pairs.txt", "markers are of two meshes, a source and a target; 1 files were given"),
         ("bar.npz thick.obj bar.npz --markers p.txt", "3 files were given"),
         ("bar.npz thick.obj --markers notes.txt", "notes.txt, line 1"),
         ("bar.npz thick.obj --markers wrong.txt", "wrong.txt: marker 1.*the target has"),
@@ -82,10 +77,7 @@ def room(monkeypatch: pytest.MonkeyPatch) -> Room:
         ("bar.npz thick.obj --markers pairs.txt --export a.html", "--export is not about setting markers"),
         ("bar.npz thick.obj --markers pairs.txt --against bar.npz", "--against is not about setting"),
         ("bar.npz thick.obj --markers pairs.txt --overlaid", "--overlaid is not about setting markers"),
-        (
-            "bar.npz thick.obj --markers pairs.txt --prim /a",
-            "none of the files is read with an option 'prim'",
-        ),
+        ("bar.npz thick.obj --markers pairs.txt --prim /a", "none of the files is read with an option 'prim'"),
     ],
 )
 @pytest.mark.usefixtures("folder", "room")

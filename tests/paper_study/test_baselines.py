@@ -157,5 +157,5 @@ def test_a_page_has_what_was_compared(tmp_path: Path) -> None:
         "lion": {"title": "bar", "methods": dict.fromkeys(("ARAP", "skin", "NRIC", "geodesic", "MixIT"), found["ARAP"])}
     }
     results["lion"]["placed"] = [1.0, 2.0, 3.0]
-    assert "on lion: lengths 1, angles 1;" in page(results)[-1]
+    assert "on lion: lengths 1, angles 1;" in page(results)[-2]
     assert "| ARAP | 0.25 |" in page(results)[4]

@@ -25,16 +25,16 @@ from mixseq.pictures.colours import (
     MEASURES,
     MIN_SCALE_ENDS,
     PALETTE_PARTS,
-    SCALE_QUANTILE,
+    SCALE_QUANTILES,
     Colouring,
-    Curvature,
-    Strain,
     available_colourings,
+    curvature_from_rest,
     format_two_digits,
     make_colouring,
     own_colours,
     part_colours,
     segmentation_colours,
+    strain_from_rest,
     vertex_distances,
     viridis,
 )
@@ -104,8 +104,7 @@ def test_values_are_from_the_smallest_to_the_largest(shape: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "message"),
-    [(np.zeros(5), r"shape \(5,\); give 202 numbers"), (np.full(202, np.nan), "not all finite")],
+    ("values", "message"), [(np.zeros(5), r"shape \(5,\); give 202 numbers"), (np.full(202, np.nan), "not all finite")]
 )
 def test_values_are_of_the_vertices(values: NDArray[np.float64], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
@@ -173,9 +172,13 @@ def test_shared_colours_cannot_be_written_to() -> None:
 
 def test_scales_reach_what_is_shown() -> None:
     found = available_colourings(BAR.header, REST, original=original, poses=poses())
-    strain, curvature = Strain.from_rest(REST, BAR.faces), Curvature.from_rest(REST, BAR.faces)
-    assert np.isclose(found["strain"].top, max(100 * np.quantile(strain(x), SCALE_QUANTILE) for x in BAR.points))
-    assert np.isclose(found["curvature"].top, max(np.quantile(curvature(x), SCALE_QUANTILE) for x in BAR.points))
+    strain, curvature = strain_from_rest(REST, BAR.faces), curvature_from_rest(REST, BAR.faces)
+    assert np.isclose(
+        found["strain"].top, max(100 * np.quantile(strain(x), SCALE_QUANTILES["strain"]) for x in BAR.points)
+    )
+    assert np.isclose(
+        found["curvature"].top, max(np.quantile(curvature(x), SCALE_QUANTILES["curvature"]) for x in BAR.points)
+    )
     assert found["error"].top == MIN_SCALE_ENDS["error"]  # it is the original
     assert np.array_equal(found["curvature"].entries(REST, 0), np.zeros(BAR.vertex_count))
     assert found["curvature"].entries(BAR.points[-1], 0.3).max() == 255
@@ -248,10 +251,7 @@ def test_what_means_no_numbers_has_no_scale() -> None:
 
 def test_colours_are_fixed_or_measured() -> None:
     constant_entries = np.zeros(3, dtype=np.uint8)
-    for given_ in (
-        {},
-        {"constant_entries": constant_entries, "measure": lambda points, elapsed: constant_entries},
-    ):
+    for given_ in ({}, {"constant_entries": constant_entries, "measure": lambda points, elapsed: constant_entries}):
         with pytest.raises(SettingsError, match="either constant entries or a measure"):
             Colouring("a", PALETTE, **given_)  # type: ignore[arg-type]
 
@@ -437,7 +437,7 @@ AWKWARD: dict[str, Mesh] = {
 def test_strain_is_the_mean_of_the_edges() -> None:
     rest = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
     longer = np.array([[0, 0, 0], [2, 0, 0], [0, 1, 0.0]])
-    strain = Strain.from_rest(rest, np.array([[0, 1, 2]]))
+    strain = strain_from_rest(rest, np.array([[0, 1, 2]]))
     hypotenuse = np.sqrt(5 / 2) - 1
     assert np.allclose(strain(longer), [0.5, (1 + hypotenuse) / 2, hypotenuse / 2])
     assert np.allclose(strain(rest), 0)
@@ -447,7 +447,7 @@ def test_edges_without_length_are_not_strained() -> None:
     rest = np.array([[0, 0, 0], [0, 0, 0], [0, 1, 0.0]])
     longer = np.array([[0, 0, 0], [2, 0, 0], [0, 1, 0.0]])
     opposite = np.sqrt(5) - 1
-    assert np.allclose(Strain.from_rest(rest, np.array([[0, 1, 2]]))(longer), [0, opposite / 2, opposite / 2])
+    assert np.allclose(strain_from_rest(rest, np.array([[0, 1, 2]]))(longer), [0, opposite / 2, opposite / 2])
 
 
 # Curvature
@@ -457,7 +457,7 @@ def test_edges_without_length_are_not_strained() -> None:
 def test_a_strip_bends_between_its_squares(degrees: float) -> None:
     columns = 5
     flat, faces = grid(1, columns)
-    change = Curvature.from_rest(flat, faces)(rolled(columns, degrees)).reshape(2, -1)
+    change = curvature_from_rest(flat, faces)(rolled(columns, degrees)).reshape(2, -1)
     # every vertex inside has one line between squares, that bends, and one diagonal, that does not
     assert np.allclose(change[:, 1:-1], abs(degrees) / 2)
     assert np.allclose(change[:, [0, -1]], 0)
@@ -465,13 +465,13 @@ def test_a_strip_bends_between_its_squares(degrees: float) -> None:
 
 def test_it_is_the_change_that_counts() -> None:
     _, faces = grid(1, 4)
-    change = Curvature.from_rest(rolled(4, 20), faces)
+    change = curvature_from_rest(rolled(4, 20), faces)
     assert np.allclose(change(rolled(4, 50)), change(rolled(4, -10)))
     assert np.allclose(change(rolled(4, 50)).max(), 15)
 
 
 def test_angles_change_the_shorter_way_round() -> None:
-    change = Curvature.from_rest(folded(170), BOOK)
+    change = curvature_from_rest(folded(170), BOOK)
     assert np.allclose(change(folded(-170)), [20, 20, 0, 0])
     assert np.allclose(change(folded(-10)), [180, 180, 0, 0])
 
@@ -490,7 +490,7 @@ def test_angles_are_those_of_the_signals(name: str) -> None:
         of_vertex[b].append(value)
     expected = [sum(values) / max(len(values), 1) for values in of_vertex]
     assert max(expected) > 1
-    assert np.allclose(Curvature.from_rest(rest, faces)(now), expected, atol=1e-9)
+    assert np.allclose(curvature_from_rest(rest, faces)(now), expected, atol=1e-9)
 
 
 def test_hinges_of_faces_without_area_do_not_bend() -> None:
@@ -499,17 +499,17 @@ def test_hinges_of_faces_without_area_do_not_bend() -> None:
     collapsed[3] = flat[0]  # only of the triangle 0 4 3, whose diagonal is its one hinge
     turned = rolled(2, 40)
     for rest, now in ((collapsed, turned), (turned, collapsed)):
-        assert np.allclose(Curvature.from_rest(rest, faces)(now), [0, 20, 0, 0, 20, 0])
+        assert np.allclose(curvature_from_rest(rest, faces)(now), [0, 20, 0, 0, 20, 0])
     nothing = np.zeros_like(flat)
-    assert np.array_equal(Curvature.from_rest(nothing, faces)(turned), np.zeros(6))
-    assert np.array_equal(Curvature.from_rest(turned, faces)(nothing), np.zeros(6))
+    assert np.array_equal(curvature_from_rest(nothing, faces)(turned), np.zeros(6))
+    assert np.array_equal(curvature_from_rest(turned, faces)(nothing), np.zeros(6))
 
 
 def test_slivers_do_not_bend() -> None:
     book = folded(0)
     for height in (1e-5, -1e-5):  # below and above its edge: half a turn, if it had an area
         book[3] = [50, height, 0]
-        assert np.array_equal(Curvature.from_rest(folded(0), BOOK)(book), np.zeros(4))
+        assert np.array_equal(curvature_from_rest(folded(0), BOOK)(book), np.zeros(4))
 
 
 # Both
@@ -521,22 +521,22 @@ def test_rigid_motions_change_nothing(
     name: str, turn: tuple[float, float, float], move: tuple[float, float, float], mesh: str
 ) -> None:
     rest, faces = AWKWARD[mesh]
-    assert MEASURES[name].from_rest(rest, faces)(rest @ rotation(turn).T + np.array(move)).max() < 1e-9
+    assert MEASURES[name](rest, faces)(rest @ rotation(turn).T + np.array(move)).max() < 1e-9
 
 
 @given(st.floats(0.01, 100), st.sampled_from(sorted(AWKWARD)))
 def test_scaling_is_strain_and_no_bend(scale: float, mesh: str) -> None:
     rest, faces = AWKWARD[mesh]
-    assert np.allclose(Strain.from_rest(rest, faces)(scale * rest), abs(scale - 1), atol=1e-9)
-    assert Curvature.from_rest(rest, faces)(scale * rest).max() < 1e-9
+    assert np.allclose(strain_from_rest(rest, faces)(scale * rest), abs(scale - 1), atol=1e-9)
+    assert curvature_from_rest(rest, faces)(scale * rest).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", MEASURES)
 def test_vertices_without_edges_or_hinges_have_nothing(name: str) -> None:
     rest = np.concatenate([folded(30), [[5.0, 5, 5]]])
     now = np.concatenate([2 * folded(60), [[9.0, 5, 5]]])
-    assert MEASURES[name].from_rest(rest, BOOK)(now)[4] == 0
-    assert Curvature.from_rest(rest, BOOK[:1])(now).tolist() == [0] * 5  # a triangle alone
+    assert MEASURES[name](rest, BOOK)(now)[4] == 0
+    assert curvature_from_rest(rest, BOOK[:1])(now).tolist() == [0] * 5  # a triangle alone
 
 
 @pytest.mark.parametrize("name", MEASURES)
@@ -544,9 +544,9 @@ def test_single_precision_is_widened(name: str) -> None:
     rest, faces = torus(9, 7)
     now = (1.1 * rest).astype(np.float32)
     single = rest.astype(np.float32)
-    found = MEASURES[name].from_rest(single, faces)(now)
+    found = MEASURES[name](single, faces)(now)
     assert found.dtype == np.float64
-    assert np.array_equal(found, MEASURES[name].from_rest(single.astype(float), faces)(now.astype(float)))
+    assert np.array_equal(found, MEASURES[name](single.astype(float), faces)(now.astype(float)))
 
 
 def test_distances_are_in_diagonals() -> None:

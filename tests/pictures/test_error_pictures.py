@@ -135,8 +135,7 @@ TRIANGLE = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
 
 
 @pytest.mark.parametrize(
-    ("vertex", "hidden"),
-    [((0, 0, -1), True), ((0, 0, 1), False), ((2, 0, -1), False), ((0, -0.99, -0.1), True)],
+    ("vertex", "hidden"), [((0, 0, -1), True), ((0, 0, 1), False), ((2, 0, -1), False), ((0, -0.99, -0.1), True)]
 )
 @pytest.mark.parametrize("face", [[0, 1, 2], [2, 1, 0]])
 def test_what_hides_a_vertex(vertex: tuple[float, ...], hidden: bool, face: list[int]) -> None:

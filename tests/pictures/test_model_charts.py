@@ -171,13 +171,7 @@ def test_charts_of_what_stands_still(still: Model, ax: Any) -> None:
 
 @pytest.mark.parametrize(
     ("target", "expected"),
-    [
-        ("a.png", "png"),
-        ("a.PNG", "png"),
-        (Path("b.d/a.svg"), "svg"),
-        ("a.b.Svg", "svg"),
-        (io.BytesIO(), "png"),
-    ],
+    [("a.png", "png"), ("a.PNG", "png"), (Path("b.d/a.svg"), "svg"), ("a.b.Svg", "svg"), (io.BytesIO(), "png")],
 )
 def test_format_by_extension(target: Any, expected: Format) -> None:
     assert picture_format(target) == expected

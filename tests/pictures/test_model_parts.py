@@ -10,13 +10,7 @@ import pytest
 
 from mixseq.errors import SettingsError
 from mixseq.pictures.colours import JOINT_RED, part_colours
-from mixseq.pictures.models import (
-    MAX_LEGEND_PARTS,
-    _number_positions,
-    draw_parts,
-    draw_parts_legend,
-    legend_rows,
-)
+from mixseq.pictures.models import MAX_LEGEND_PARTS, _number_positions, draw_parts, draw_parts_legend, legend_rows
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -89,10 +83,7 @@ def test_legend_of_very_many_parts(bar_model: Model, ax: Any) -> None:
     count = MAX_LEGEND_PARTS + 7
     sizes = [1 + (number % 7 == 0) for number in range(count)]
     many = replace(
-        parts,
-        part_of_face=np.arange(len(parts.part_of_face)) % count,
-        parts=tuple(map(np.arange, sizes)),
-        joints=(),
+        parts, part_of_face=np.arange(len(parts.part_of_face)) % count, parts=tuple(map(np.arange, sizes)), joints=()
     )
     draw_parts_legend(ax, many, 5)
     entries = list(legend(ax))

@@ -13,14 +13,7 @@ import pytest
 from mixseq.choices import PICTURES, PictureKind
 from mixseq.errors import MissingExtraError, OutputError, SettingsError
 from mixseq.pictures.charts import Format
-from mixseq.pictures.models import (
-    MAX_ERROR_FRAMES,
-    _page_section,
-    _parts,
-    check_settings,
-    plot_model,
-    summary,
-)
+from mixseq.pictures.models import MAX_ERROR_FRAMES, _page_section, _parts, check_settings, plot_model, summary
 from mixseq.pictures.scene import three_quarter_view
 from mixseq.runtime.progress import log_progress
 from mixseq.sequence.sequence import MeshSequence
@@ -88,11 +81,7 @@ def test_values_are_drawn_of_one_frame_or_of_three(vertex_model: Model) -> None:
     constant = np.arange(77.0)
     one, two, three = (
         png_size(picture(vertex_model, "values", values=values, frames=frames))[1]
-        for values, frames in (
-            (constant, None),
-            (constant, [0, 2]),
-            (constant * np.arange(4)[:, None], None),
-        )
+        for values, frames in ((constant, None), (constant, [0, 2]), (constant * np.arange(4)[:, None], None))
     )
     assert one < two < three
 

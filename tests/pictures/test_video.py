@@ -192,7 +192,7 @@ def test_changes_are_since_the_first_frame(gem: MeshSequence, colour: str) -> No
     assert change.measure is not None
     assert np.array_equal(change.measure(track.pose(0), 0), np.zeros(6))
     for frame in (0, 5):
-        expected = part * MEASURES[colour].from_rest(squeezed.points[3], gem.faces)(squeezed.points[3 + frame])
+        expected = part * MEASURES[colour](squeezed.points[3], gem.faces)(squeezed.points[3 + frame])
         assert np.array_equal(change.measure(track.pose(frame), frame), expected)
         assert change.scale_end(track.pose(frame), frame) == np.quantile(expected, 0.99)
 

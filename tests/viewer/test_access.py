@@ -82,8 +82,7 @@ def test_the_usual_port_is_left_out_by_browsers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("host", "name"),
-    [("127.0.0.1", "127.0.0.1"), ("0.0.0.0", "127.0.0.1"), ("::", "127.0.0.1"), ("::1", "[::1]")],
+    ("host", "name"), [("127.0.0.1", "127.0.0.1"), ("0.0.0.0", "127.0.0.1"), ("::", "127.0.0.1"), ("::1", "[::1]")]
 )
 def test_the_address(host: str, name: str) -> None:
     assert Access(host, 8080, TOKEN).address == f"http://{name}:8080/?token={TOKEN}"

@@ -402,12 +402,7 @@ def test_touch(charts: Charts) -> None:
     """Fingers drag too, and need not be as exact as a mouse."""
     x, y = charts.ask("handlePixels()")[5]
     touch = charts.page.context.new_cdp_session(charts.page)
-    for kind, place in (
-        ("Start", (x + 9, y + 9)),
-        ("Move", (x + 30, y)),
-        ("Move", (x + 49, y + 9)),
-        ("End", None),
-    ):
+    for kind, place in (("Start", (x + 9, y + 9)), ("Move", (x + 30, y)), ("Move", (x + 49, y + 9)), ("End", None)):
         points = [{"x": place[0], "y": place[1]}] if place else []
         touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
     charts.settle()

@@ -33,14 +33,7 @@ from mixseq.sequence.sequence import FrameStore, MeshSequence, bounding_diagonal
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray
 from mixseq.viewer.export import ExportSettings, export_page
-from mixseq.viewer.export_data import (
-    PAGE_ENCODING,
-    PageItem,
-    deflate_rows,
-    encode_text,
-    measure_extent,
-    page_items,
-)
+from mixseq.viewer.export_data import PAGE_ENCODING, PageItem, deflate_rows, encode_text, measure_extent, page_items
 from tests.meshes import SEQUENCES, bar
 from tests.viewer.pages import Opened, bytes_of, rows_of
 
@@ -331,8 +324,7 @@ def test_equal_input_makes_equal_bytes(tmp_path: Path, bar_model: Model) -> None
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["</script><script>alert(1)</script>", "<!-- x -->", "\"'&amp;\\", "Füchsin 狐 \u2028", "<!-- data -->"],
+    "name", ["</script><script>alert(1)</script>", "<!-- x -->", "\"'&amp;\\", "Füchsin 狐 \u2028", "<!-- data -->"]
 )
 def test_names_stay_names(tmp_path: Path, name: str) -> None:
     export_page(tmp_path / "a.html", [exported(bar(), name)])

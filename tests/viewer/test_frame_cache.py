@@ -273,11 +273,7 @@ def test_over_another_period_at_the_same_time() -> None:
     assert standing.with_period(3, 10.0, NOW).frame_at(NOW) == 2  # which is over by then
     running = standing.start(NOW).with_period(20, 20.0, NOW + 0.15)  # 0.65 s
     assert running.is_running
-    assert [running.frame_at(NOW + 0.15), running.frame_at(NOW + 0.201), running.frame_at(NOW + 1.0)] == [
-        13,
-        14,
-        10,
-    ]
+    assert [running.frame_at(NOW + 0.15), running.frame_at(NOW + 0.201), running.frame_at(NOW + 1.0)] == [13, 14, 10]
 
 
 def test_over_a_rate_and_back() -> None:

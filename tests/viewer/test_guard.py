@@ -219,10 +219,7 @@ def test_noise_that_is_no_request(page: Page, capfd: pytest.CaptureFixture[str])
 def test_another_viser_is_not_run_without_a_guard() -> None:
     from mixseq.viewer.live.guard import Access
 
-    with (
-        pytest.raises(RuntimeError, match="cannot be guarded"),
-        Guard(Access("127.0.0.1")).guard_new_server(),
-    ):
+    with pytest.raises(RuntimeError, match="cannot be guarded"), Guard(Access("127.0.0.1")).guard_new_server():
         pass
 
 
@@ -258,14 +255,7 @@ def test_no_uploads(running: Viewer, page: Page, capfd: pytest.CaptureFixture[st
 
 @pytest.mark.parametrize(
     "updates",
-    [
-        {"removed": True},
-        {"value": True, "removed": True},
-        {"update_cb": []},
-        {"props": {}},
-        {"is_button": True},
-        {},
-    ],
+    [{"removed": True}, {"value": True, "removed": True}, {"update_cb": []}, {"props": {}}, {"is_button": True}, {}],
 )
 def test_only_values_of_controls_change(page: Page, updates: dict[str, Any], capfd: pytest.CaptureFixture[str]) -> None:
     with page.open() as line:
@@ -432,10 +422,7 @@ def test_read_only(model: Model, tmp_path: Path, capfd: pytest.CaptureFixture[st
         assert labels >= {"Speed", "Frames/s", "Wireframe", "mixseq"}
         with page.open() as line:
             line.send(msgspec.msgpack.encode(CAMERA))
-            for said in (
-                '{"kind": "retime", "keys": [[0, 0.1], [1, 0.2]], "done": true}',
-                '{"kind": "drawn"}',
-            ):
+            for said in ('{"kind": "retime", "keys": [[0, 0.1], [1, 0.2]], "done": true}', '{"kind": "drawn"}'):
                 line.send(change(page.control("mixseq"), value=said))
             check_it_hears(page, line)
         assert running.session.model is model

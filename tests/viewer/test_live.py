@@ -32,7 +32,7 @@ pytestmark = pytest.mark.slow
 
 ARRAY = """(name) => {
   let found = [];
-  window.__viserMutable?.nodeRefFromName["/mesh/0"]?.traverse((each) => {
+  window.__viserMutable?.nodeRefFromName["/mesh/0/surface"]?.traverse((each) => {
     const values = each.isMesh && !found.length && each.geometry.attributes[name];
     if (values) found = [...values.array.slice(0, 600)];
   });
@@ -63,7 +63,7 @@ def started(model: Model, tmp_path: Path) -> Iterator[tuple[Viewer, Callable[[],
 MIDDLE = """() => {
   let mesh = null;
   const { nodeRefFromName, camera, canvas } = window.__viserMutable;
-  nodeRefFromName["/mesh/0"].traverse((each) => { if (each.isMesh && !mesh) mesh = each });
+  nodeRefFromName["/mesh/0/surface"].traverse((each) => { if (each.isMesh && !mesh) mesh = each });
   mesh.geometry.computeBoundingSphere();
   const place = mesh.localToWorld(mesh.geometry.boundingSphere.center.clone()).project(camera);
   const { x, y, width, height } = canvas.getBoundingClientRect();
@@ -74,7 +74,7 @@ MIDDLE = """() => {
 ON_SCREEN = """() => {
   let mesh = null;
   const { nodeRefFromName, camera, canvas } = window.__viserMutable;
-  nodeRefFromName["/mesh/0"].traverse((each) => { if (each.isMesh && !mesh) mesh = each });
+  nodeRefFromName["/mesh/0/surface"].traverse((each) => { if (each.isMesh && !mesh) mesh = each });
   const { array, count } = mesh.geometry.attributes.position, { x, y, width, height } = canvas.getBoundingClientRect();
   const point = mesh.position.clone(), seen = [];
   for (let k = 0; k < count; k++) {

@@ -36,7 +36,7 @@ FOXES = short, tall
 PLACE = """([side, vertex]) => {
   let mesh = null;
   const { nodeRefFromName, camera, canvas } = window.__viserMutable;
-  nodeRefFromName["/mesh/" + side].traverse((each) => { if (each.isMesh && !mesh) mesh = each });
+  nodeRefFromName[`/mesh/${side}/surface`].traverse((each) => { if (each.isMesh && !mesh) mesh = each });
   const point = mesh.geometry.attributes.position;
   const place = mesh.position.clone().fromBufferAttribute(point, vertex);
   mesh.localToWorld(place).project(camera);
@@ -45,6 +45,11 @@ PLACE = """([side, vertex]) => {
 }"""
 """Where a vertex is on the page."""
 
+
+READY = (
+    """() => window.__viserMutable?.nodeRefFromName?.["/mesh/1/surface"] && document.getElementById("mixseq-hint")"""
+)
+"""Whether the page shows the meshes and its controls."""
 
 UNNAMED = """() => [...document.querySelectorAll("button, canvas, input:not([type=hidden])")].filter((each) =>
   each.offsetWidth && !each.getAttribute("aria-label") && !each.textContent.trim() && !each.labels?.length
@@ -58,8 +63,7 @@ class Hand:
     def __init__(self, page: Page, running: MarkingViewer) -> None:
         self.page, self.session = page, running.session
         page.goto(running.address + QUICK)
-        ready = "() => window.__viserMutable?.nodeRefFromName?.['/mesh/1'] && document.getElementById('mixseq-hint')"
-        page.wait_for_function(ready)
+        page.wait_for_function(READY)
         eventually(lambda: page.get_by_text("Software WebGL").count())
         page.locator(".mantine-Notification-closeButton").first.click()
         self.wait_until_still()  # panels dock, and the camera steps back
@@ -219,12 +223,13 @@ def test_a_marker_is_chosen_moved_and_deleted(hand: Hand) -> None:
 def test_no_mesh_hides_the_other(hand: Hand, running: MarkingViewer) -> None:
     """They stay beside each other while the camera turns, and it finds the same place of the other one."""
     mouse, stage = hand.page.mouse, running._stage
-    before = stage.arrangement.view.azimuth
+    (number,) = stage._pages
+    before = stage.arrangement_of(number).view.azimuth
     mouse.move(500, 500)
     mouse.down()
     mouse.move(300, 500, steps=10)
     mouse.up()
-    eventually(lambda: abs(stage.arrangement.view.azimuth - before) > 30)
+    eventually(lambda: abs(stage.arrangement_of(number).view.azimuth - before) > 30)
     hand.wait_until_still()
     ends = [
         [hand.page.evaluate(PLACE, [side, vertex])[0] for vertex in range(0, fox.mesh.vertex_count, 40)]
@@ -235,7 +240,7 @@ def test_no_mesh_hides_the_other(hand: Hand, running: MarkingViewer) -> None:
     def away() -> Float:
         """How far meshes are from where the camera looks, as shares of the way between them."""
         (client,) = running._server.get_clients().values()
-        middles = stage.arrangement.centres
+        middles = stage.arrangement_of(number).centres
         far = np.linalg.norm(middles - client.camera.look_at, axis=1) / np.linalg.norm(middles[1] - middles[0])
         return np.asarray(far)
 
@@ -274,15 +279,13 @@ def test_a_mesh_turns_on_its_own(hand: Hand, running: MarkingViewer) -> None:
 
 
 def test_meshes_are_stacked_on_a_phone(hand: Hand, running: MarkingViewer, watched: Watched) -> None:
-    """Where that shows them larger, and nothing is outside of the picture."""
+    """Where that shows them larger, and nothing is outside of the picture; on another page they stay in a row."""
     phone = watched.open(390, 844)
     phone.goto(running.address + QUICK)
-    phone.wait_for_function(
-        "() => window.__viserMutable?.nodeRefFromName?.['/mesh/1'] && document.getElementById('mixseq-hint')"
-    )
-    eventually(lambda: len(running._stage._sent_cameras) == 2)
+    phone.wait_for_function(READY)
+    eventually(lambda: len(running._stage._pages) == 2)
     hand.button("Back")
-    eventually(lambda: running._stage.arrangement.is_stacked)
+    eventually(lambda: [running._stage.arrangement_of(number).is_stacked for number in (0, 1)] == [False, True])
     ends: list[Float] = []
 
     def are_stacked() -> bool:
@@ -293,6 +296,8 @@ def test_meshes_are_stacked_on_a_phone(hand: Hand, running: MarkingViewer, watch
         return bool(ends[0][:, 1].max() < ends[1][:, 1].min())
 
     eventually(are_stacked)
+    lefts = [hand.page.evaluate(PLACE, [side, 0])[0] for side in (0, 1)]
+    assert lefts[1] - lefts[0] > 200
     places = np.concatenate(ends)
     assert places.min() > 0
     assert places[:, 0].max() < 390

@@ -218,7 +218,7 @@ def test_the_browser_finds_what_python_does(new_page: NewPage, bar_page: Path, w
     faces = item.model.header.faces
     assert made["faces"] == faces.ravel().tolist()
     measures = [
-        (MEASURES[name].from_rest(item.points[0], faces), unit, top)
+        (MEASURES[name](item.points[0], faces), unit, top)
         for name, unit, top in zip(
             ("strain", "curvature"),
             (100, 1),
@@ -385,11 +385,7 @@ def test_colours_can_be_chosen(two: Player) -> None:
     assert not page.locator("#legend").is_visible()
     colours = ["Clay", "Strain", "Curvature", "Parts", "Error"]
     assert page.locator("#colour option").all_inner_texts() == colours
-    for name, words in (
-        ("parts", "red where parts meet"),
-        ("strain", "Strain (%)"),
-        ("error", "Error (diagonals)"),
-    ):
+    for name, words in (("parts", "red where parts meet"), ("strain", "Strain (%)"), ("error", "Error (diagonals)")):
         page.select_option("#colour", name)
         assert changed(clay, two.picture()) > 0.01
         assert words in page.locator("#legend").inner_text()

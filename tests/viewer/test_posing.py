@@ -298,7 +298,8 @@ def test_balls_are_grabbed_nearby_and_clicked(stage: LiveStage) -> None:
     stage.set_dragging(take)
     stage.set_handles(0, {3: (1, 2, 3), 1: (4, 5, 6)}, clicked.append)
     points = placed(stage, tetrahedron()[0])
-    assert [tuple(ball.position) for ball in stage._handle_balls] == [tuple(points[3]), tuple(points[1])]
+    local = stage.arrangement.to_local(0, tetrahedron()[0])
+    assert [tuple(ball.position) for ball in stage._handle_balls] == [tuple(local[3]), tuple(local[1])]
     drag(stage._drag_callback(None, 1), points[1] + 0.02, points[1])
     drag(stage._drag_callback(0, None), points[3] + 0.02, points[3])
     assert seen == [1, 1, 3, 3]

@@ -173,10 +173,7 @@ def test_edits_are_done_in_order(room: Room, bar_model: Model) -> None:
         room.session.edit(str(number), edit(number))
     room.done(20)
     assert [number for number, _ in order] == list(range(20))
-    assert [model for _, model in order] == [
-        bar_model,
-        *room.told.seen[:-1],
-    ]  # each of what the one before made
+    assert [model for _, model in order] == [bar_model, *room.told.seen[:-1]]  # each of what the one before made
 
 
 def test_of_previews_only_the_newest_is_made(room: Room, bar_model: Model) -> None:
@@ -250,11 +247,7 @@ def test_undo_and_redo(room: Room, bar_model: Model) -> None:
     edited = session.model
     session.undo()
     room.done(2)
-    assert (session.model, room.shown(), session.history.redo().current.name) == (
-        bar_model,
-        bar_model,
-        "loop",
-    )
+    assert (session.model, room.shown(), session.history.redo().current.name) == (bar_model, bar_model, "loop")
     session.redo()
     room.done(3)
     assert (session.model, room.shown(), session.history.current.name) == (edited, edited, "loop")
@@ -741,4 +734,10 @@ def test_an_edit_of_one_body_is_shown_on_all(bar_model: Model, is_compressed: bo
     room.done(6)
     assert session.history.index == 0
     assert room.shown(1) is session.model
+    session.select(2)
+    session.edit("reverse", reverse)
+    room.done(8)
+    session.save(Path("edits.toml"))
+    eventually(lambda: len(room.written) == 2)
+    assert str(room.written[1][1]) == '# mixseq edit --body "large"\n\n[[edit]]\noperation = "reverse"\n'
     room.close()

@@ -82,12 +82,7 @@ def with_flipped_bits(sound: bytes, count: int) -> Iterator[bytes]:
 def coded(cases: list[Case]) -> list[list[object]]:
     """What JavaScript is given."""
     return [
-        [
-            b64encode(encode_polygons(polygons, count)).decode(),
-            len(polygons.counts),
-            polygons.indices.size,
-            count,
-        ]
+        [b64encode(encode_polygons(polygons, count)).decode(), len(polygons.counts), polygons.indices.size, count]
         for polygons, count in cases
     ]
 

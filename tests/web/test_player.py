@@ -10,11 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mixseq.compression.bitstream.compressed_sequence import (
-    CompressedSequence,
-    TemporalInterpolation,
-    decode,
-)
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, TemporalInterpolation, decode
 from mixseq.compression.encoder.compress import compress
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq.web import bundled
@@ -74,8 +70,7 @@ def opened(page: Page, folder: Path, coded: CompressedSequence | Path) -> None:
     """Have a page load the decoder, and what it decodes."""
     write_container(folder, coded)
     page.route(
-        "http://127.0.0.1/*",
-        lambda route: route.fulfill(body="<title>player</title>", content_type="text/html"),
+        "http://127.0.0.1/*", lambda route: route.fulfill(body="<title>player</title>", content_type="text/html")
     )
     page.goto("http://127.0.0.1/")  # Workers need an origin
     streams = b64encode((folder / "streams").read_bytes()).decode()

@@ -216,10 +216,7 @@ def test_colours_of_vertices_are_drawn(page: Page, tmp_path: Path) -> None:
     assert painted is not None and header.polygons.only_triangles
     found = floats(page.evaluate("() => packed(shot.geometry.attributes.color.array)"), 4)
     np.testing.assert_array_equal(found[drawn], painted.at_corners)
-    assert page.evaluate("() => [shot.material.vertexColors, shot.material.color.getHex()]") == [
-        True,
-        0xFFFFFF,
-    ]
+    assert page.evaluate("() => [shot.material.vertexColors, shot.material.color.getHex()]") == [True, 0xFFFFFF]
 
 
 def test_copies_have_moments_of_their_own(page: Page, tmp_path: Path) -> None:

@@ -54,13 +54,7 @@ class _Bake:
 
     bl_options = {"REGISTER", "UNDO"}
     report: Any
-    samples: IntProperty(
-        name="Samples",
-        default=1,
-        min=1,
-        max=64,
-        description="Samples per frame, for motion blur",
-    )
+    samples: IntProperty(name="Samples", default=1, min=1, max=64, description="Samples per frame, for motion blur")
 
     @classmethod
     def poll(cls, context: Any) -> bool:

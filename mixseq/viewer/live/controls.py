@@ -146,11 +146,8 @@ def _legend(colourings: list[Colouring]) -> str:
         return ""
     stops = ", ".join(f"rgb({r} {g} {b})" for r, g, b in measured.palette[::15])
     bar = f'<div style="height: 10px; border-radius: 3px; background: linear-gradient(to right, {stops})"></div>'
-    ends = (
-        f'<div style="display: flex; justify-content: space-between"><span>{measured.low:.3g}</span>'
-        f"<span>{measured.top:.3g} "
-        f"{escape(measured.unit)}</span></div>"
-    )
+    low, top = f"<span>{measured.low:.3g}</span>", f"<span>{measured.top:.3g} {escape(measured.unit)}</span>"
+    ends = f'<div style="display: flex; justify-content: space-between">{low}{top}</div>'
     return f'<div id="mixseq-legend" style="padding: 2px 12px; font-size: 12px">{bar}{ends}</div>'
 
 
@@ -489,7 +486,8 @@ class Editor:
             notify(client, "Hold: not done", text)
         else:
             start, end = self._section_times
-            time = self._current_time
+            model, playback = self._session.model, self._playback
+            time = min(model.start + playback.scene.elapsed(playback.frame), model.end)
             self._session.edit("hold", partial(hold, part=int(part), time=time, start=start, end=end))
 
     @property
@@ -499,12 +497,6 @@ class Editor:
         scene, (first, last) = playback.scene, playback.section
         end = model.end if last == scene.count - 1 else min(model.start + scene.elapsed(last), model.end)
         return min(model.start + scene.elapsed(first), model.end), end
-
-    @property
-    def _current_time(self) -> float:
-        """Current time of the model, in seconds."""
-        model, playback = self._session.model, self._playback
-        return min(model.start + playback.scene.elapsed(playback.frame), model.end)
 
     @property
     def _default_name(self) -> str:

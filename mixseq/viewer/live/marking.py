@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.mesh.rotations import matrix_to_quat
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.pictures.colours import SceneColours
@@ -163,9 +162,7 @@ class MarkingStage:
         self._towards: Float = np.array([0.0, 0.0, 1.0])  # direction of the camera
         self._labels: dict[str, Any] = {}
         self._nodes: dict[int, Any] = {}
-        self._frames = [server.scene.add_frame(f"/markers/{side}", show_axes=False) for side in range(2)]
-        self._arrangement = stage.arrangement
-        self.set_arrangement(stage.arrangement)
+        self._stage = stage
         self._surfaces = []  # local vertices and normals of each mesh
         for side, item in enumerate(scene.items):
             points = stage.arrangement.to_local(side, item.pose(0.0)).astype(np.float64)
@@ -174,23 +171,15 @@ class MarkingStage:
         ball = icosphere(subdivisions=2, radius=1.0)
         self._ball = np.asarray(ball.vertices), np.asarray(ball.faces)
 
-    def set_arrangement(self, arrangement: Arrangement) -> bool:
-        """Move the balls with their meshes, and return whether labels must be placed again."""
-        turns, self._arrangement = self._arrangement.turns, arrangement
-        quats = matrix_to_quat(arrangement.rotations)
-        for frame, offset, quat in zip(self._frames, arrangement.offsets, quats, strict=True):
-            frame.position, frame.wxyz = offset, quat
-        return turns != arrangement.turns
-
     def turn_between(self, pairs: Index) -> float:
         """Return the turn of the target in degrees that aligns it with the source by pairs ``(n, 2)``, or 0 for few."""
         if len(pairs) < MIN_ALIGNED_PAIRS:
             return 0.0
         return heading_between(*(self._surfaces[side][0][pairs[:, side]] for side in (SOURCE, TARGET)))
 
-    def positions(self, side: int, vertices: Index) -> Float:
+    def positions(self, side: int, vertices: Index, arrangement: Arrangement) -> Float:
         """Return the positions ``(n, 3)`` of vertices in the scene."""
-        return self._arrangement.place(side, self._surfaces[side][0][vertices]).astype(np.float64)
+        return arrangement.place(side, self._surfaces[side][0][vertices]).astype(np.float64)
 
     def set_camera(self, offset: Float, aspect: float) -> bool:
         """Adapt to the offset ``(3,)`` of the camera from its target and to the width/height of its picture.
@@ -228,7 +217,7 @@ class MarkingStage:
             node.batched_positions, node.batched_scales, node.batched_colors = positions, scales, colours
             return
         node = self._nodes[side] = self._server.scene.add_batched_meshes_simple(
-            f"/markers/{side}/balls",
+            f"/mesh/{side}/balls",
             *self._ball,
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
             batched_positions=positions,
@@ -245,23 +234,20 @@ class MarkingStage:
                 self._on_click(side, event.instance_index)
 
     def _draw_labels(self, side: int, balls: Sequence[Ball], points: Float, normals: Float) -> None:
-        towards = self._towards @ self._arrangement.rotations[side]  # relative to the mesh
+        towards = self._towards @ self._stage.arrangement.rotations[side]  # relative to the mesh
         rows = [row for row, ball in enumerate(balls) if ball.text and normals[row] @ towards > MIN_LABEL_COSINE]
         places = place_labels(points[rows], normals[rows], towards, self._radius)
-        texts = {f"/markers/{side}/{row}": (balls[row].text, place) for row, place in zip(rows, places, strict=True)}
+        texts = {
+            f"/mesh/{side}/marker/{row}": (balls[row].text, place) for row, place in zip(rows, places, strict=True)
+        }
         for name in list(self._labels):
-            if name.startswith(f"/markers/{side}/") and name not in texts:
+            if name.startswith(f"/mesh/{side}/") and name not in texts:
                 self._labels.pop(name).remove()
         for name, (text, point) in texts.items():
             label = self._labels.get(name)
             if label is None:
                 self._labels[name] = self._server.scene.add_label(
-                    name,
-                    text,
-                    position=point,
-                    anchor="center-center",
-                    font_screen_scale=1.1,
-                    depth_test=False,
+                    name, text, position=point, anchor="center-center", font_screen_scale=1.1, depth_test=False
                 )
                 continue
             label.position = point
@@ -312,8 +298,8 @@ class MarkingControls:
             self._saved = gui.add_html("")
             button = gui.add_button("Save")
         views.on_click(lambda _: set_view(VIEWS[views.value]))
-        across.on_click(lambda event: show_other_mesh(event.client.camera))
-        gui.add_command("Other mesh", hotkey="O").on_trigger(lambda event: show_other_mesh(event.client.camera))
+        across.on_click(lambda event: show_other_mesh(event.client))
+        gui.add_command("Other mesh", hotkey="O").on_trigger(lambda event: show_other_mesh(event.client))
         for group in (steps, proposals):
             group.on_click(lambda _, by=group: self._do(by.value))
         button.on_click(lambda _: save())
@@ -446,7 +432,7 @@ class MarkingViewer:
         camera = settings.camera or VIEWS["Left"]
         self._stage = LiveStage(server, SceneColours(scene), replace(settings, camera=camera), lambda _: None)
         self._balls = MarkingStage(server, scene, self._stage, lambda side, row: self.session.click_ball(side, row))
-        self._stage.on_rearrange = self._on_rearrange
+        self._stage.on_turn = self.on_change
         playback = Playback(scene, self._stage, self._on_playback_failure, threads=1)
         self._playback = stack.enter_context(playback)
         self.session = stack.enter_context(MarkingSession(meshes.source, meshes.target, meshes.markers, self))
@@ -514,23 +500,19 @@ class MarkingViewer:
         pairs = (*self.session.marking.pairs, *self.session.proposals)
         return np.array([pair.vertices for pair in pairs if pair.certainty == "sure"], np.int64).reshape(-1, 2)
 
-    def _on_rearrange(self, arrangement: Arrangement) -> None:
-        """Move the balls with the meshes, and place labels again where a mesh has turned."""
-        if self._balls.set_arrangement(arrangement):
-            self.on_change()
-
     def _on_camera(self, camera: Any) -> None:
         """Keep the size of balls on the screen constant, while the camera of a page moves."""
         if self._balls.set_camera(camera.position - camera.look_at, camera.aspect):
             self.on_change()
 
-    def _show_other_mesh(self, camera: Any) -> None:
+    def _show_other_mesh(self, client: Any) -> None:
         """Move the camera to the point of the other mesh that corresponds by the nearest marker."""
-        centres = self._stage.arrangement.centres
+        camera, arrangement = client.camera, self._stage.arrangement_of(client.client_id)
+        centres = arrangement.centres
         side_in_view = int(np.linalg.norm(centres - camera.look_at, axis=1).argmin())
         pairs = np.array([pair.vertices for pair in (*self.session.marking.pairs, *self.session.proposals)], np.int64)
         anchors = [
-            np.concatenate([centres[[side]], self._balls.positions(side, pairs.reshape(-1, 2)[:, side])])
+            np.concatenate([centres[[side]], self._balls.positions(side, pairs.reshape(-1, 2)[:, side], arrangement)])
             for side in (side_in_view, 1 - side_in_view)
         ]
         nearest = int(np.linalg.norm(anchors[0] - camera.look_at, axis=1).argmin())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from math import remainder
 from threading import Lock
@@ -39,20 +39,43 @@ ARRIVAL_SECONDS = 5.0
 
 
 @dataclass(eq=False)
-class _SentCamera:
-    """The camera that was sent to a page."""
+class _Page:
+    """A page with an arrangement of its own, and the camera that was sent to it; or what all pages start with."""
 
-    position: Float
-    target: Float
-    aspect: float  # width/height of the picture
-    time: float  # when it was sent, in seconds
-    is_there: bool = False  # whether the page has it; what it reports afterwards are movements of the user
+    owner: Any  # the client, or the server
+    arrangement: Arrangement
+    frames: list[Any]  # parents of the meshes
+    ground: Any  # parent of the ground
+    position: Float = field(default_factory=lambda: np.zeros(3))
+    target: Float = field(default_factory=lambda: np.zeros(3))
+    aspect: float = 1.0  # width/height of the picture
+    time: float = 0.0  # when the camera was sent, in seconds
+    is_there: bool = False  # whether the page has the camera; what it reports afterwards are movements of the user
+
+    @classmethod
+    def from_owner(cls, owner: Any, arrangement: Arrangement) -> _Page:
+        """Add the parents of the nodes to the scene of a client or a server."""
+        count = len(arrangement.offsets)
+        frames = [owner.scene.add_frame(f"/mesh/{index}", show_axes=False) for index in range(count)]
+        page = cls(owner, arrangement, frames, owner.scene.add_frame("/below", show_axes=False))
+        page.arrange(arrangement)
+        return page
+
+    def arrange(self, arrangement: Arrangement) -> None:
+        """Move the meshes."""
+        self.arrangement = arrangement
+        with self.owner.atomic():
+            self.ground.visible = not arrangement.is_stacked
+            quats = matrix_to_quat(arrangement.rotations)
+            for frame, offset, quat in zip(self.frames, arrangement.offsets, quats, strict=True):
+                frame.position, frame.wxyz = offset, quat
 
 
 class LiveStage:
     """Meshes in the scene of a viser server, a `mixseq.viewer.playback.Stage`.
 
-    `on_show` is called with every shown moment. To follow is to fix bodies and move the ground.
+    `on_show` is called with every shown moment. To follow is to fix bodies and move the ground. Every page has its own
+    arrangement of the meshes, by its camera and window; they are turned in all.
     """
 
     def __init__(
@@ -65,33 +88,32 @@ class LiveStage:
         self._lock = Lock()
         self.is_busy = False  # whether a page is still drawing the last moment
         self._moment: Moment | None = None
-        self._sent_cameras: dict[int, _SentCamera] = {}  # by page
         self._colour = colours.names[0]
         self._sent_colourings: list[Colouring | None] = [None] * len(colours.scene.items)
         self._camera = settings.camera
-        self.on_rearrange: Callable[[Arrangement], None] = lambda _: None  # called when meshes have moved
-        self._arrangement = arrange_meshes(colours.scene, not settings.overlaid, settings.camera)
+        self.on_turn: Callable[[], None] = lambda: None  # called when meshes have turned
+        arrangement = arrange_meshes(colours.scene, not settings.overlaid, settings.camera)
+        self._start = _Page.from_owner(server, arrangement)
+        self._pages: dict[int, _Page] = {}
         self._add_ground()
         self._meshes, self._colour_clouds, self._labels = [], [], []
         self._picked: tuple[int, int] | None = None  # indices of mesh and vertex
-        self._pick_ball = self._add_ball("/picked", 0.012)
+        self._pick_balls = [self._add_ball(f"/mesh/{index}/picked", 0.012) for index in range(len(colours.scene.items))]
         self._handles: tuple[int, Mapping[int, Colour]] = (0, {})  # index of a mesh, and colours by vertex
         self._handle_balls: list[Any] = []
         self._grabs: dict[int, tuple[int, Float]] = {}  # by page: dragged vertex, and its offset from the pointer
         self._on_drag: Callable[[int, int, Float], bool] | None = None
         self._drags = [self._drag_callback(index, None) for index in range(len(colours.scene.items))]
         for index, item in enumerate(colours.scene.items):
-            offset = self._arrangement.offsets[index]
-            points = self._arrangement.to_local(index, item.pose(0.0))
+            points = arrangement.to_local(index, item.pose(0.0))
             zeros = np.zeros_like(points)
             mesh = server.scene.add_mesh_simple(
-                f"/mesh/{index}",
+                f"/mesh/{index}/surface",
                 points,
                 item.header.faces,
                 color=(255, 255, 255),
                 material=settings.material,
                 side="double",
-                position=offset,
                 cast_shadow=False,
                 receive_shadow=False,
             )
@@ -102,11 +124,10 @@ class LiveStage:
             self._colour_clouds.append(cloud)
         if len(self._meshes) > 1:
             self._labels = [
-                server.scene.add_label(f"/name/{index}", item.name, anchor="bottom-center", position=position)
-                for index, (item, position) in enumerate(
-                    zip(colours.scene.items, self._arrangement.label_positions, strict=True)
-                )
+                server.scene.add_label(f"/mesh/{index}/name", item.name, anchor="bottom-center")
+                for index, item in enumerate(colours.scene.items)
             ]
+        self._place_labels()
 
     @property
     def colours(self) -> list[Colouring]:
@@ -120,9 +141,9 @@ class LiveStage:
             self._moment = moment
             elapsed = moment.scene.elapsed(moment.frame)
             for index, (points, colours) in enumerate(zip(moment.poses, self.colours, strict=True)):
-                local, shift = self._local_points(self._arrangement, index, points)
+                local, shift = self._local_points(index, points)
                 if index == 0:
-                    x, _, z = -self._arrangement.rotations[0] @ shift % GRID_CELL
+                    x, _, z = -self._start.arrangement.rotations[0] @ shift % GRID_CELL
                     self._ground.position = (x, -1e-3 * SCENE_SIZE, z)
                 self._meshes[index].vertices = local
                 if not colours.is_constant or self._sent_colourings[index] is not colours:
@@ -132,8 +153,9 @@ class LiveStage:
             self._place_balls()
             self._on_show(moment)
 
-    def _local_points(self, arrangement: Arrangement, index: int, points: Single) -> tuple[Single, Float]:
+    def _local_points(self, index: int, points: Single) -> tuple[Single, Float]:
         """Return local points ``(V, 3)`` of a mesh, and the displacement ``(3,)`` removed to follow the mesh."""
+        arrangement = self._start.arrangement
         local = arrangement.to_local(index, points)
         if not self.following:
             return local, np.zeros(3)
@@ -144,16 +166,23 @@ class LiveStage:
         """Move the balls to the picked vertex and to those of handles."""
         index, colours = self._handles
         balls = [(index, vertex, ball) for vertex, ball in zip(colours, self._handle_balls, strict=False)]
-        balls += [(*self._picked, self._pick_ball)] if self._picked is not None else []
-        if self._moment is None or not balls:
+        balls += [(*self._picked, self._pick_balls[self._picked[0]])] if self._picked is not None else []
+        if self._moment is None:
             return
-        placed = {index: self._placed_points(self._arrangement, index, self._moment)[0] for index, _, _ in balls}
+        placed = {index: self._local_points(index, self._moment.poses[index])[0] for index, _, _ in balls}
         for index, vertex, ball in balls:
             ball.position = placed[index][vertex]
 
+    def _place_labels(self) -> None:
+        """Move the labels above the meshes, which may have turned."""
+        arrangement = self._start.arrangement
+        above = np.einsum("nji,nj->ni", arrangement.rotations, arrangement.label_positions - arrangement.offsets)
+        for label, position in zip(self._labels, above, strict=False):
+            label.position = position
+
     def _placed_points(self, arrangement: Arrangement, index: int, moment: Moment) -> tuple[Single, Float]:
         """Return a mesh ``(V, 3)`` in the scene, and the displacement ``(3,)`` removed there to follow the mesh."""
-        local, shift = self._local_points(arrangement, index, moment.poses[index])
+        local, shift = self._local_points(index, moment.poses[index])
         return arrangement.place(index, local), arrangement.rotations[index] @ shift
 
     def set_colour(self, name: str) -> None:
@@ -162,43 +191,46 @@ class LiveStage:
 
     def set_view(self, view: View, turns: tuple[float, ...]) -> None:
         """Set the view of the camera, and the turn of each mesh."""
-        middle = self.arrangement.centres.mean(axis=0)
-        self._rearrange(lambda arrangement: replace(arrangement, view=view, turns=turns).side_by_side(middle))
+        self._rearrange(
+            lambda before: replace(before, view=view, turns=turns).side_by_side(before.centres.mean(axis=0))
+        )
         self._update_cameras()
 
-    def _follow_camera(self, camera: Any) -> None:
-        """Keep meshes side by side while the camera turns; see `Arrangement.seen_from`."""
+    def _follow_camera(self, page: _Page, camera: Any) -> None:
+        """Keep meshes side by side while the camera of a page turns; see `Arrangement.seen_from`."""
         x, y, z = offset = camera.position - camera.look_at
         across = float(np.hypot(x, z))
-        before, view = self.arrangement.view, View(*np.degrees([np.arctan2(x, z), np.arctan2(y, across)]).tolist())
+        before, view = page.arrangement.view, View(*np.degrees([np.arctan2(x, z), np.arctan2(y, across)]).tolist())
         rotation = abs(remainder(view.azimuth - before.azimuth, 360)), abs(view.elevation - before.elevation)
         is_defined = across > 0.05 * abs(y)  # from straight above, there is no azimuth
         if len(self._meshes) > 1 and is_defined and max(rotation) > ROW_STEP_DEGREES:
-            distance = float(np.linalg.norm(offset))
-            self._rearrange(lambda arrangement: arrangement.seen_from(view, camera.look_at, distance))
+            with self._lock:
+                distance = float(np.linalg.norm(offset))
+                page.arrange(page.arrangement.seen_from(view, camera.look_at, distance))
 
     def turn(self, index: int, degrees: float) -> None:
         """Turn one mesh: it is seen from an azimuth of its own, in degrees from that of the camera."""
         self._rearrange(lambda arrangement: arrangement.turned(index, degrees))
 
     def _rearrange(self, change: Callable[[Arrangement], Arrangement]) -> None:
-        """Change the arrangement, and move the meshes."""
+        """Change the arrangement of all pages."""
+        turns = self.arrangement.turns
         with self._lock, self._server.atomic():
-            self._arrangement = arrangement = change(self._arrangement)
-            self._ground.visible = not arrangement.is_stacked
-            quats = matrix_to_quat(arrangement.rotations)
-            for mesh, offset, quat in zip(self._meshes, arrangement.offsets, quats, strict=True):
-                mesh.position, mesh.wxyz = offset, quat
-            for label, position in zip(self._labels, arrangement.label_positions, strict=False):
-                label.position = position
+            for page in (self._start, *self._pages.values()):
+                page.arrange(change(page.arrangement))
+            self._place_labels()
             self._place_balls()
-        self.on_rearrange(arrangement)
+        if turns != self.arrangement.turns:
+            self.on_turn()
 
     @property
     def arrangement(self) -> Arrangement:
-        """Current arrangement of the meshes."""
-        with self._lock:
-            return self._arrangement
+        """Arrangement of the meshes with which pages start."""
+        return self._start.arrangement
+
+    def arrangement_of(self, client_id: int) -> Arrangement:
+        """Return the current arrangement of the meshes of a page."""
+        return self._pages.get(client_id, self._start).arrangement
 
     def arrange(self, scene: Scene, side_by_side: bool) -> None:
         """Arrange the meshes side by side or overlaid."""
@@ -228,7 +260,7 @@ class LiveStage:
             @mesh.on_click  # type: ignore[untyped-decorator]
             def _(event: Any, index: int = number) -> None:
                 with self._lock:
-                    moment, arrangement = self._moment, self._arrangement
+                    moment, arrangement = self._moment, self.arrangement_of(event.client_id)
                 if moment is None:
                     return
                 points, _ = self._placed_points(arrangement, index, moment)
@@ -238,10 +270,15 @@ class LiveStage:
                 if hit is not None:
                     if mark and self._on_drag is None:
                         with self._lock:
-                            self._picked = index, hit.vertex
-                            self._place_balls()
-                            self._pick_ball.visible = True
+                            self._mark((index, hit.vertex))
                     callback(index, hit)
+
+    def _mark(self, picked: tuple[int, int] | None) -> None:
+        """Mark a vertex of a mesh with a ball, or none."""
+        self._picked = picked
+        self._place_balls()
+        for index, ball in enumerate(self._pick_balls):
+            ball.visible = picked is not None and picked[0] == index
 
     def _turn_by_drags(self, index: int, mesh: Any) -> None:
         """Turn a mesh on its own while it is dragged with shift."""
@@ -258,21 +295,20 @@ class LiveStage:
 
     def _add_ball(self, name: str, radius: float) -> Any:
         return self._server.scene.add_icosphere(
-            name,
-            radius=radius * SCENE_SIZE,
-            color=PICK_COLOUR,
-            visible=False,
-            cast_shadow=False,
-            receive_shadow=False,
+            name, radius=radius * SCENE_SIZE, color=PICK_COLOUR, visible=False, cast_shadow=False, receive_shadow=False
         )
 
     def set_handles(self, index: int, colours: Mapping[int, Colour], on_click: Callable[[int], None]) -> None:
         """Mark vertices of a mesh with balls, in colours by vertex, and set the function called with a clicked one."""
         with self._lock, self._server.atomic():
+            if index != self._handles[0]:
+                for ball in self._handle_balls:
+                    ball.remove()
+                self._handle_balls.clear()
             self._handles = index, dict(colours)
             while len(self._handle_balls) < len(colours):
                 number = len(self._handle_balls)
-                ball = self._add_ball(f"/handle/{number}", 0.018)
+                ball = self._add_ball(f"/mesh/{index}/handle/{number}", 0.018)
                 ball.on_click(lambda _, number=number: on_click(list(self._handles[1])[number]))
                 ball.on_drag(self._drag_callback(None, number))
                 self._handle_balls.append(ball)
@@ -285,7 +321,9 @@ class LiveStage:
 
         It returns False to refuse the drag, until the next one begins.
         """
-        self._on_drag, self._picked, self._pick_ball.visible = callback, None, False
+        self._on_drag = callback
+        with self._lock:
+            self._mark(None)
         for mesh, drag in zip(self._meshes, self._drags, strict=True):
             mesh.remove_drag_callback(drag)
             if callback is not None:
@@ -297,7 +335,7 @@ class LiveStage:
         async def drag(event: Any) -> None:  # in order: on the event loop
             index = self._handles[0] if mesh is None else mesh
             with self._lock:
-                moment, arrangement = self._moment, self._arrangement
+                moment, arrangement = self._moment, self.arrangement_of(event.client_id)
                 handles = list(self._handles[1]) if index == self._handles[0] else []
             if moment is None or self._on_drag is None:
                 return
@@ -324,7 +362,7 @@ class LiveStage:
         scene.configure_default_lights(cast_shadow=False)
         extent = 12 * SCENE_SIZE  # up to where it fades, in front and behind
         self._ground = scene.add_grid(
-            "/ground",
+            "/below/ground",
             extent,
             extent,
             plane="xz",
@@ -341,49 +379,48 @@ class LiveStage:
 
     def add_client(self, client: Any) -> None:
         """Fit the camera of a new page to all meshes, until the user moves it."""
+        page = self._pages[client.client_id] = _Page.from_owner(client, self.arrangement)
 
         @client.camera.on_update  # type: ignore[untyped-decorator]
         def _(camera: Any) -> None:
-            sent = self._sent_cameras.get(client.client_id)
-            if sent is None:
-                return
-            sent.is_there |= monotonic() > sent.time + ARRIVAL_SECONDS
+            page.is_there |= monotonic() > page.time + ARRIVAL_SECONDS
             initial, seen = self._server.initial_camera, (camera.position, camera.look_at)
-            known = (sent.position, sent.target), (initial.position, initial.look_at)  # a page may return to the latter
+            known = (page.position, page.target), (initial.position, initial.look_at)  # a page may return to the latter
             is_unmoved = any(np.allclose(seen, each, rtol=1e-3, atol=1e-3) for each in known)
             # A page connects before its panels dock, which changes the aspect ratio of the viewport.
-            if (is_unmoved or not sent.is_there) and abs(camera.aspect / sent.aspect - 1) > 0.02:
-                self._update_camera(client)
+            if (is_unmoved or not page.is_there) and abs(camera.aspect / page.aspect - 1) > 0.02:
+                self._update_camera(page)
             elif is_unmoved:
-                sent.is_there = True
-            elif sent.is_there and not self.overlaid:
-                self._follow_camera(camera)
+                page.is_there = True
+            elif page.is_there and not self.overlaid:
+                self._follow_camera(page, camera)
 
-        self._update_camera(client)
+        self._update_camera(page)
 
     def remove_client(self, client: Any) -> None:
         """Remove the state of a closed page."""
-        self._sent_cameras.pop(client.client_id, None)
+        self._pages.pop(client.client_id, None)
         self._grabs.pop(client.client_id, None)
 
-    def _update_camera(self, client: Any) -> None:
-        aspect = client.camera.aspect  # width/height
-        if len(self._meshes) > 1 and not self.overlaid:
-            self._rearrange(lambda arrangement: arrangement.fitted(1 / aspect))
-        position, centre = self.arrangement.camera(1 / aspect)
-        self._sent_cameras[client.client_id] = _SentCamera(position, centre, aspect, monotonic())
-        with client.atomic():
-            client.camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
-            client.camera.position = position  # viser also moves the target
-            client.camera.look_at = centre
+    def _update_camera(self, page: _Page) -> None:
+        camera = page.owner.camera
+        page.aspect, page.time, page.is_there = camera.aspect, monotonic(), False
+        with self._lock:
+            if len(self._meshes) > 1 and not self.overlaid:
+                page.arrange(page.arrangement.fitted(1 / page.aspect))
+            page.position, page.target = page.arrangement.camera(1 / page.aspect)
+        with page.owner.atomic():
+            camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
+            camera.position = page.position  # viser also moves the target
+            camera.look_at = page.target
 
     def _update_cameras(self) -> None:
         position, centre = self.arrangement.camera(aspect=1.0)
         camera = self._server.initial_camera
         camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
         camera.look_at, camera.position = centre, position
-        for client in self._server.get_clients().values():
-            self._update_camera(client)
+        for page in list(self._pages.values()):
+            self._update_camera(page)
 
 
 def srgb_to_linear(colours: ByteArray) -> ByteArray:

@@ -93,13 +93,7 @@ class Viewer:
     """A running viewer, started by `run_viewer`."""
 
     def __init__(
-        self,
-        server: Any,
-        address: str,
-        colours: SceneColours,
-        settings: ViewSettings,
-        save: Save,
-        stack: ExitStack,
+        self, server: Any, address: str, colours: SceneColours, settings: ViewSettings, save: Save, stack: ExitStack
     ) -> None:
         self._server = server
         self._play: PlayControls | None = None  # a frame may be shown before the controls exist

@@ -1,7 +1,7 @@
 // Extensions of viser's page: vertex colours, charts, and messages to Python.
 //
 // viser has no meshes with vertex colours. Python sends them as the colours of a hidden point cloud /paint/k for every
-// mesh /mesh/k, and this script makes both share one array. The object with viser's scene and connection,
+// mesh /mesh/k/surface, and this script makes both share one array. The object with viser's scene and connection,
 // __viserMutable, is not documented: tests/viewer/test_live.py fails if it changes.
 "use strict";
 
@@ -27,7 +27,7 @@ window.mixseqLive ??= (function () {
   /** Set the colours of a mesh; returns whether its positions or colours have changed. */
   function updateColours(name) {
     const mesh = find(name, (each) => each.isMesh && each.geometry?.attributes.position && !each.material.isShadowMaterial);
-    const cloud = find(name.replace("/mesh/", "/paint/"), (each) => each.isPoints);
+    const cloud = find(name.replace(/mesh(.*)\/surface/, "paint$1"), (each) => each.isPoints);
     if (!mesh) return false;
     const { position } = mesh.geometry.attributes, colours = cloud?.geometry.attributes.color;
     if (colours?.count === position.count) {
@@ -90,7 +90,7 @@ window.mixseqLive ??= (function () {
     if (!inputId || !window.__viserMutable?.nodeRefFromName) return;
     mixseqWindow.arrange();
     mixseqWindow.showEnded(window.__viserMutable.sendMessage !== connection); // viser replaces it when it is disconnected
-    const meshes = Object.keys(window.__viserMutable.nodeRefFromName).filter((name) => /^\/mesh\/\d+$/.test(name));
+    const meshes = Object.keys(window.__viserMutable.nodeRefFromName).filter((name) => /^\/mesh\/\d+\/surface$/.test(name));
     if (meshes.map(updateColours).some(Boolean)) {
       window.__viserMutable.requestRender?.();
       send({ kind: "drawn" });

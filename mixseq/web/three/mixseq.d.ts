@@ -38,19 +38,8 @@ export interface Facts {
   readonly parameters: Record<string, unknown>;
 }
 
-export class Sequence implements Facts {
-  readonly name: string;
-  readonly fps: number;
-  readonly upAxis: "X" | "Y" | "Z";
-  readonly metresPerUnit: number;
-  readonly vertexCount: number;
-  readonly polygonCount: number;
-  readonly cornerCount: number;
-  readonly frameCount: number;
-  readonly times: Float64Array;
-  /** Where positions are relative to, x, y and z: that of the node of the mesh in a GLB file. */
-  readonly origin: readonly [number, number, number];
-  readonly parameters: Record<string, unknown>;
+export interface Sequence extends Facts {}
+export class Sequence {
   readonly chunks: Chunk[];
   polygons(): Polygons;
   /** Three vertices for each triangle. */

@@ -8,6 +8,7 @@ quantile of that share.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -103,3 +104,8 @@ def sections(results: Results, picture: str, caption: str, table: Callable[[Json
     for mesh, result in results.items():
         blocks += [f"## {mesh}: {result['title']}", f"![{caption}, {mesh}]({picture}-{mesh}.png)", table(result)]
     return blocks
+
+
+def folds(results: Results, of: Callable[[Json], Json] = itemgetter("methods")) -> str:
+    """Say which blends fold or shrink limbs, of the summaries of errors by method of every mesh."""
+    return folded({f"*{name}* on {mesh}": found for mesh, r in results.items() for name, found in of(r).items()})

@@ -53,11 +53,11 @@ def length_errors(poses: Poses, points: Float) -> Float:
     return heat(poses, worst, BRIGHTEST)
 
 
-def gallery(target: Path, poses: Poses, rows: Sequence[Sequence[Panel]], title: str = "", turn: float = 30.0) -> None:
+def gallery(target: Path, poses: Poses, rows: Sequence[Sequence[Panel]], title: str) -> None:
     """Draw rows of meshes with one camera, as a PNG."""
     up, faces = poses.sequence.up_axis, poses.sequence.faces
     everything = [panel for row in rows for panel in row]
-    view = three_quarter_view(poses.points[0], up, turn)
+    view = three_quarter_view(poses.points[0], up)
     limits = [shared_limits(panel.points, up, view) for panel in everything]
     low, high = np.array(limits)[:, ::2], np.array(limits)[:, 1::2]
     size = (high - low).max(axis=0)

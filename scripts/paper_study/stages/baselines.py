@@ -14,7 +14,7 @@ from mixseq.types import Index
 from scripts.benchmarks.common.harness import cpu_timed, markdown_table
 from scripts.paper_study.common.baselines import BASELINES, SEGMENTS, THICKNESS, TOLERANCE, turned
 from scripts.paper_study.common.damage import placement_noise
-from scripts.paper_study.common.errors import errors, sections, text
+from scripts.paper_study.common.errors import errors, folds, sections, text
 from scripts.paper_study.common.methods import METHODS, Method
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import PAPER, Poses, apart, between
@@ -80,12 +80,11 @@ def page(results: Results) -> list[str]:
         "What the paper does not compare with, written from the papers in `scripts/paper_study/common/baselines.py`: "
         "*vertices* (registered), *ARAP* (Alexa, Cohen-Or and Levin 2000, for the faces of a surface), a *skin* fitted "
         "to the animation whose bones are blended, and *NRIC* (Sassen, Heeren, Hildebrandt and Rumpf 2020), whose "
-        f"shells are {THICKNESS:g} diagonals thick, which we chose; the search starts from *DSO*. A "
-        "time-discrete *geodesic* in the space of such shells (Heeren, Rumpf, Wardetzky and Wirth 2012) has "
-        f"{SEGMENTS} segments. Their elastic energies are "
-        "minimised over all shapes between them at once, from *DSO*, until a step predicts less than "
-        f"{TOLERANCE:.1%} of the energy. It does not aim at the blended lengths and angles. {took}Meshes of more than "
-        f"{GEODESIC_VERTICES:,} vertices do not have it.",
+        f"shells are {THICKNESS:g} diagonals thick, which we chose; the search starts from *DSO*. A time-discrete "
+        f"*geodesic* in the space of such shells (Heeren, Rumpf, Wardetzky and Wirth 2012) has {SEGMENTS} segments. "
+        "Their elastic energies are minimised over all shapes between them at once, from *DSO*, until a step predicts "
+        f"less than {TOLERANCE:.1%} of the energy. It does not aim at the blended lengths and angles. {took}Meshes of "
+        f"more than {GEODESIC_VERTICES:,} vertices do not have it.",
         "Errors are against the blended lengths and angles, which *NRIC* and *DSO* minimise, each with weights of its "
         "own. Volume is that of the blend over the blended volume, minus one. Seconds are of the processor, on one "
         "thread, for what is done once for two poses (a first blend in S_e and S_m, all blends of the geodesic) and "
@@ -103,6 +102,9 @@ def page(results: Results) -> list[str]:
         markdown_table(("mesh", "first face", "median of all faces", "registered"), placed),
         "## What it shows",
         *verdict(results),
+        folds(
+            results, lambda r: {f"{n}, {w}": at for n, found in r["methods"].items() for w, at in found["at"].items()}
+        ),
     ]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from mixseq.choices import SpaceName
 from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.types import Float
-from scripts.paper_study.common.errors import error_table, errors, folded, sections
+from scripts.paper_study.common.errors import error_table, errors, folds, sections
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import PAPER, Poses, between
@@ -42,7 +42,7 @@ def page(results: Results) -> list[str]:
         "Half-way between two poses, which the paper's first figure shows for one pair. Errors are of lengths "
         "(relative) and angles (degrees) against the means of the two poses.",
         *sections(results, "figure-1", "Blends in four shape spaces", lambda r: error_table("space", r["methods"])),
-        folded({f"*{name}* on {mesh}": f for mesh, r in results.items() for name, f in r["methods"].items()}),
+        folds(results),
     ]
 
 

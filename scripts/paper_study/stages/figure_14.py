@@ -5,7 +5,7 @@ from __future__ import annotations
 from operator import itemgetter
 from pathlib import Path
 
-from scripts.paper_study.common.errors import error_table, errors, folded, sections
+from scripts.paper_study.common.errors import error_table, errors, folds, sections
 from scripts.paper_study.common.methods import Free, Strips, strips
 from scripts.paper_study.common.pictures import BRIGHTEST, Panel, gallery, held, length_errors
 from scripts.paper_study.common.poses import PAPER, Poses, between
@@ -59,7 +59,7 @@ def page(results: Results) -> list[str]:
         "where only strips are joints: as in the paper, a segmentation that misses joints leads to artefacts. Where "
         f"all faces are joints that are wrong half-way, they are {ratio_range(growth[1])} times: a missed joint is "
         "inside a part, and found there.",
-        folded({f"*{name}* on {mesh}": f for mesh, r in results.items() for name, f in r["methods"].items()}),
+        folds(results),
     ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from mixseq.spaces.edge import EdgeSettings
 from mixseq.types import Float, Index
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.damage import BEYOND, SIZE, noisy, pushed
-from scripts.paper_study.common.errors import error_table, errors, text
+from scripts.paper_study.common.errors import error_table, errors, folds, text
 from scripts.paper_study.common.methods import METHODS, Edge, Method, Mixed, strips
 from scripts.paper_study.common.pictures import Panel, gallery, heat, held
 from scripts.paper_study.common.poses import PAPER, Poses, apart, between
@@ -131,9 +132,8 @@ def page(results: Results) -> list[str]:
         f"{fewer(results, 'local', 'MixIT, printed', 'MSGI')}: by {least(results, 'MixIT, printed')} of an edge, MSGI "
         f"by {least(results, 'MSGI')}. S_e has no parts, and angles that fold over push their surroundings aside: DSO "
         f"by {least(results, 'DSO')} from the linear start, {least(results, 'DSO, from a pose')} from a pose, "
-        f"{least(results, 'DSO, volume')} with the volume term. "
-        f"*MixIT* moves the rest less than DSO on {fewer(results, 'local', 'MixIT', 'DSO')}, less than MSGI on "
-        f"{fewer(results, 'local', 'MixIT', 'MSGI')}; "
+        f"{least(results, 'DSO, volume')} with the volume term. *MixIT* moves the rest less than DSO on "
+        f"{fewer(results, 'local', 'MixIT', 'DSO')}, less than MSGI on {fewer(results, 'local', 'MixIT', 'MSGI')}; "
         f"*MixIT, free* less than DSO on {fewer(results, 'local', 'MixIT, free', 'DSO')}, less than MSGI on "
         f"{fewer(results, 'local', 'MixIT, free', 'MSGI')}. For *MixIT* the patch bends: its joints hold "
         + ", ".join(f"{r['local']['MixIT']['joints']:.0%} of the patch of {mesh}" for mesh, r in results.items())
@@ -147,6 +147,7 @@ def page(results: Results) -> list[str]:
             f"*{name}* on {named(m for m in calm if calm[m] == name)}" for name in METHODS if name in calm.values()
         )
         + ".",
+        folds(results, itemgetter("local")),
     ]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.shells.fitting import ShellSettings
 from mixseq.types import Float
-from scripts.paper_study.common.errors import error_table, errors
+from scripts.paper_study.common.errors import error_table, errors, folded
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import BRIGHTEST, Panel, gallery, length_errors
 from scripts.paper_study.common.poses import Poses, between
@@ -75,7 +75,8 @@ def page(results: Results) -> list[str]:
             error_table("method", result["other"]["methods"], COLUMNS),
             "The linear start is no guarantee. " + ordered(result["other"]),
         ]
-    return blocks
+    pairs = [result[which] for result in results.values() for which in ("far", "other")]
+    return [*blocks, folded({f"*{name}* on {p['title']}": f for p in pairs for name, f in p["methods"].items()})]
 
 
 def ordered(result: Json) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scripts.paper_study.common.errors import error_table, errors, sections, text
+from scripts.paper_study.common.errors import error_table, errors, folds, sections, text
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import ALL, PAPER, Poses
@@ -39,6 +39,7 @@ def page(results: Results) -> list[str]:
         *sections(results, "figure-9", "Six poses and their blends", lambda r: error_table("method", r["methods"])),
         "## What it shows",
         *verdict(results),
+        folds(results),
     ]
 
 

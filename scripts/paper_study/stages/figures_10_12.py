@@ -10,7 +10,7 @@ from mixseq.mesh.measures import triangle_areas
 from mixseq.spaces.mixed.construction import MAX_STEPS, MIN_STEPS
 from mixseq.types import Float
 from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.errors import errors, folded, text
+from scripts.paper_study.common.errors import errors, folds, text
 from scripts.paper_study.common.methods import METHODS, Method, Mixed, Printed
 from scripts.paper_study.common.pictures import Panel, envelopes, gallery, held
 from scripts.paper_study.common.poses import MESHES, PAPER, Poses, between
@@ -115,7 +115,7 @@ def page(results: Results) -> list[str]:
     return [
         *blocks,
         "## Folds half-way",
-        folded({f"*{name}* on {mesh}": f["middle"] for mesh, r in results.items() for name, f in r["methods"].items()}),
+        folds(results, lambda r: {name: found["middle"] for name, found in r["methods"].items()}),
         "## The paper's claim",
         "The paper says that MSGI is slightly better on the standing elephant (Figure 10), MixIT on the "
         "horse (11), DSO on the galloping elephant (12), and prints the curves without numbers. Ratios of "

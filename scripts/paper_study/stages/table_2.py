@@ -58,10 +58,9 @@ def page(results: Results) -> list[str]:
     return [
         "## S_e",
         markdown_table(("mesh", "V", "E", "printed", "2E + 3V + 6", "defined: 2E + 6", "stored by us"), edge),
-        "The paper defines S_e by a length and an angle for every edge, and a pose: 2E + 6. The numbers it "
-        "prints are larger by 3V, for all six meshes and to the last digit; so it counts the vertices as "
-        "well, and the printed ratios are larger than those of the definitions. We store no angle for edges "
-        "at a boundary, which have none.",
+        "The paper defines S_e by a length and an angle for every edge, and a pose: 2E + 6. The numbers it prints are "
+        "larger by 3V, for all six meshes and to the last digit; so it counts the vertices as well, and the printed "
+        "ratios are larger than those of the definitions. We store no angle for edges at a boundary, which have none.",
         "## S_m",
         markdown_table(
             (
