@@ -15,7 +15,6 @@ from mixseq.choices import STILLS, StillName
 from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.runtime.public import public
 from mixseq.types import FloatArray, IntArray, PathLike
-from mixseq.version import __version__
 from mixseq_io.files import check_memory, memory_limit
 from mixseq_io.gltf.document import has_sequence
 from mixseq_io.hdf5.contents import MODEL_FORMAT, parse_container, read_attributes, read_contents, translate_h5_errors
@@ -23,8 +22,6 @@ from mixseq_io.reader import SequenceReader
 from mixseq_io.registry import HDF5_SIGNATURE
 
 if TYPE_CHECKING:
-    import h5py
-
     from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
     from mixseq.signals.model import Model
     from mixseq_io.coded.streams import Container
@@ -150,7 +147,7 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
             )
         write_sequence(target, model, still)
         return
-    from mixseq_io.coded.packing import pack
+    from mixseq_io.coded.packing import pack, write_container
     from mixseq_io.hdf5.datasets import create_h5
     from mixseq_io.hdf5.models import write_model
 
@@ -159,28 +156,6 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
             write_container(file, pack(model))
         else:
             write_model(file, model)
-
-
-def write_container(file: h5py.File, container: Container) -> None:
-    """Store the text of a compressed model as an attribute, and all streams as one dataset, as each takes bytes.
-
-    Further bodies have groups. Strings have fixed length, since a string of variable length takes 4 KiB.
-    """
-    import h5py
-    import numpy as np
-
-    from mixseq_io.hdf5.datasets import body_groups
-
-    def write_text(group: h5py.Group, name: str, text: bytes) -> None:
-        group.attrs.create(name, text, dtype=h5py.string_dtype("ascii", len(text)))
-
-    write_text(file, "format", MODEL_FORMAT.encode())
-    write_text(file, "created_by", f"mixseq {__version__}".encode())
-    file.attrs["version"] = container.version
-    groups = body_groups(file, len(container.bodies))
-    for each, group in zip((container, *container.bodies), (file, *groups), strict=True):
-        write_text(group, "coding", each.text)
-        group.create_dataset("streams", data=np.frombuffer(each.streams, dtype=np.uint8), track_times=False)
 
 
 @public

@@ -193,10 +193,7 @@ def _read_pc2_header(file: IO[bytes], fps: float) -> CacheHeader:
 
 
 def write_pc2(
-    path: Path,
-    header: SequenceHeader,
-    blocks: Iterable[FloatArray],
-    velocities: Iterable[FloatArray] | None = None,
+    path: Path, header: SequenceHeader, blocks: Iterable[FloatArray], velocities: Iterable[FloatArray] | None = None
 ) -> None:
     """Write a PC2 file and its mesh file; parameters and errors are those of `write_cache`."""
     frame_numbers = header.times * header.fps
@@ -242,10 +239,7 @@ def _read_mdd_header(file: IO[bytes]) -> CacheHeader:
 
 
 def write_mdd(
-    path: Path,
-    header: SequenceHeader,
-    blocks: Iterable[FloatArray],
-    velocities: Iterable[FloatArray] | None = None,
+    path: Path, header: SequenceHeader, blocks: Iterable[FloatArray], velocities: Iterable[FloatArray] | None = None
 ) -> None:
     """Write an MDD file and its mesh file; parameters and errors are those of `write_cache`."""
     times = header.times.astype(np.float32)

@@ -45,10 +45,7 @@ def validate_blocks(
 
 
 def _validated(
-    header: SequenceHeader,
-    blocks: Iterator[FloatArray],
-    velocities: Iterator[FloatArray] | None,
-    dtype: DTypeLike,
+    header: SequenceHeader, blocks: Iterator[FloatArray], velocities: Iterator[FloatArray] | None, dtype: DTypeLike
 ) -> Iterator[FrameBlock]:
     frame = 0
     for block in blocks:
@@ -107,9 +104,7 @@ def _as_floats(block: FloatArray) -> FloatArray:
     return np.ascontiguousarray(array)
 
 
-def unzip_blocks(
-    pairs: Iterable[tuple[FloatArray, FloatArray]],
-) -> tuple[Iterator[FloatArray], Iterator[FloatArray]]:
+def unzip_blocks(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> tuple[Iterator[FloatArray], Iterator[FloatArray]]:
     """Split pairs of point and velocity blocks (`Model.moving_blocks`) into two iterators, advanced alternately."""
     for_points, for_velocities = tee(pairs)
     return (points for points, _ in for_points), (velocities for _, velocities in for_velocities)
@@ -262,10 +257,7 @@ class SequenceReader(ABC):
         return points.astype(self._point_type or np.float32, copy=False)
 
     def _checked(
-        self,
-        quantity: str,
-        blocks: Iterator[FloatArray],
-        check: Callable[[SequenceHeader, FloatArray, int], None],
+        self, quantity: str, blocks: Iterator[FloatArray], check: Callable[[SequenceHeader, FloatArray, int], None]
     ) -> Iterator[FloatArray]:
         frame = 0
         for block in self._while_open(blocks):

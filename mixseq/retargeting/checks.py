@@ -74,8 +74,11 @@ def find_orientation(mesh: TriangleMesh) -> Orientation:
     return Orientation(first_faces, areas, signs)
 
 
-def check_orientation(source: TriangleMesh, target: TriangleMesh) -> None:
-    """Raise if either of two closed meshes is inside out, and warn of inverted components of the target."""
+def check_orientation(source: TriangleMesh, target: TriangleMesh) -> bool:
+    """Raise if either of two closed meshes is inside out, and warn of inverted components of the target.
+
+    Return whether both meshes are closed.
+    """
     source_sign, orientation = find_orientation(source).sign, find_orientation(target)
     if source_sign * orientation.sign == -1:
         side = "target" if orientation.sign < 0 else "source"
@@ -91,14 +94,13 @@ def check_orientation(source: TriangleMesh, target: TriangleMesh) -> None:
             MixseqWarning,
             stacklevel=2,
         )
+    return source_sign * orientation.sign != 0
 
 
 def check_facing(registered: TriangleMesh, target: TriangleMesh) -> None:
-    """Raise if most of the target's area faces away from the registered source, unless both meshes are closed."""
+    """Raise if most of the target's area faces away from the registered source."""
     from mixseq.mesh.nearest import ClosestPointQuery
 
-    if find_orientation(registered).sign * find_orientation(target).sign != 0:
-        return  # `check_orientation` checks two closed meshes
     closest = ClosestPointQuery.from_mesh(registered.points, registered.faces).query(target.centroids)
     is_opposite = np.einsum("fi,fi->f", registered.face_normals[closest.faces], target.face_normals) < 0
     share = float(target.face_areas[is_opposite].sum() / max(target.face_areas.sum(), np.finfo(float).tiny))

@@ -277,11 +277,7 @@ def _contact_centre_paths(
 
 
 def _report_groups(
-    contacts: Sequence[Contact],
-    stances: Sequence[tuple[Stance, ...]],
-    before: Float,
-    after: Float,
-    residuals: Float,
+    contacts: Sequence[Contact], stances: Sequence[tuple[Stance, ...]], before: Float, after: Float, residuals: Float
 ) -> tuple[GroupReport, ...]:
     def slide(path: Float, found: Sequence[Stance]) -> float:
         lengths = [np.linalg.norm(np.diff(path[each.frames], axis=0), axis=1).sum() for each in found]

@@ -32,13 +32,7 @@ from mixseq.mesh.decimation import decimate
 from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.checks import (
-    Suspicion,
-    check_facing,
-    check_markers,
-    check_orientation,
-    find_suspicious_markers,
-)
+from mixseq.retargeting.checks import Suspicion, check_facing, check_markers, check_orientation, find_suspicious_markers
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_components
 from mixseq.retargeting.registration import LAST_STIFFNESS, STIFFNESS_STEPS, register
 from mixseq.runtime.parallel import one_blas_thread
@@ -122,11 +116,7 @@ def match(registered: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairin
 
 
 def assess(
-    registered: TriangleMesh,
-    target: TriangleMesh,
-    pairings: tuple[Pairing, ...],
-    markers: Markers,
-    matches: Matches,
+    registered: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairing, ...], markers: Markers, matches: Matches
 ) -> CorrespondenceQuality:
     """Measure the quality of a correspondence of `match`."""
     diagonal = target.diagonal
@@ -279,10 +269,11 @@ def correspond_and_assess(
     check_markers(markers, source_mesh, target_mesh)
     pairings = pair_components(source_mesh.topology, target_mesh.topology, markers)
     _check_areas(source_mesh, target_mesh, pairings)
-    check_orientation(source_mesh, target_mesh)
+    are_closed = check_orientation(source_mesh, target_mesh)
     points = register(source_mesh, target_mesh, pairings, markers, progress, last_stiffness, steps)
     registered = TriangleMesh(points, source_mesh.topology)
-    check_facing(registered, target_mesh)
+    if not are_closed:  # the volumes of closed meshes are checked
+        check_facing(registered, target_mesh)
     matches = match(registered, target_mesh, pairings)
     quality = assess(registered, target_mesh, pairings, markers, matches)
     _warn_of_poor_matches(quality, matches.correspondence)

@@ -111,10 +111,7 @@ JOINTS = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0]]
 
 def morphing(**more: Any) -> Maker:
     maker = Maker()
-    targets = [
-        {"POSITION": maker.add([[0, 0, 1]] * 3)},
-        {"POSITION": maker.add([[0, 0, 0], [4, 0, 0], [0, 0, 0]])},
-    ]
+    targets = [{"POSITION": maker.add([[0, 0, 1]] * 3)}, {"POSITION": maker.add([[0, 0, 0], [4, 0, 0], [0, 0, 0]])}]
     maker.node("face", mesh=maker.mesh(TRIANGLE, targets=targets), **more)
     return maker
 

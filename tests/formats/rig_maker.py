@@ -53,9 +53,7 @@ def carried(skin: Skin) -> Skin:
     places = np.linspace([0.0, 0, 0], [1, 2, 3], frames)
     above = np.array([rotation((0, angle, 0)) @ [0, 0, 2.0] for angle in angles])
     return replace(
-        skin,
-        rotations=np.stack([turn, turn], axis=1),
-        translations=np.stack([places, places + above], axis=1),
+        skin, rotations=np.stack([turn, turn], axis=1), translations=np.stack([places, places + above], axis=1)
     )
 
 

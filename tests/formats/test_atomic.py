@@ -178,19 +178,13 @@ def test_files_in_a_folder_go_back_if_one_cannot_take_its_place(
 def test_long_names(tmp_path: Path) -> None:
     with atomic_file(tmp_path / ("ö" * 120)) as temporary:  # 240 of 255 bytes
         temporary.write_text("new")
-    with (
-        pytest.raises(OutputError, match="too long; choose a shorter name"),
-        atomic_file(tmp_path / ("x" * 300)),
-    ):
+    with pytest.raises(OutputError, match="too long; choose a shorter name"), atomic_file(tmp_path / ("x" * 300)):
         pass
 
 
 def test_a_file_for_a_folder(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with (
-        pytest.raises(OutputError, match="does not exist; make it first"),
-        atomic_file(tmp_path / "file" / "a.npz"),
-    ):
+    with pytest.raises(OutputError, match="does not exist; make it first"), atomic_file(tmp_path / "file" / "a.npz"):
         pass
 
 

@@ -201,12 +201,7 @@ class Interruption:
     ids=["interrupt", "error", "disk full"],
 )
 def test_after_an_interruption_nothing_has_changed(
-    target: Any,
-    plain: MeshSequence,
-    store: Store,
-    files: Files,
-    error: BaseException,
-    expected: type[BaseException],
+    target: Any, plain: MeshSequence, store: Store, files: Files, error: BaseException, expected: type[BaseException]
 ) -> None:
     path = store(target, plain)
     before = files()
@@ -217,13 +212,7 @@ def test_after_an_interruption_nothing_has_changed(
 
 @pytest.mark.parametrize(("step", "code"), [("fsync", errno.ENOSPC), ("replace", errno.EIO)])
 def test_a_refusal_of_the_disk_at_the_end_is_explained(
-    target: Any,
-    plain: MeshSequence,
-    store: Store,
-    files: Files,
-    monkeypatch: pytest.MonkeyPatch,
-    step: str,
-    code: int,
+    target: Any, plain: MeshSequence, store: Store, files: Files, monkeypatch: pytest.MonkeyPatch, step: str, code: int
 ) -> None:
     path = store(target, plain)
     before = files()
@@ -259,20 +248,14 @@ BLOCKS: dict[str, tuple[Callable[..., Any], str]] = {
     "too many": (lambda points: [points, points], "more frames of points than 5 times"),
     "none": (lambda points: [], "no points for the header's 5 times"),
     "vertices": (lambda points: [points[:, :-1]], "frame 0 has 7 vertices, the mesh has 8"),
-    "dtype": (
-        lambda points: [points[:2], points[2:].astype(np.float64)],
-        "frame 2: points turn from float32",
-    ),
+    "dtype": (lambda points: [points[:2], points[2:].astype(np.float64)], "frame 2: points turn from float32"),
 }
 """Blocks that do not fit; one function checks them for all formats, which clean up on their own."""
 
 
 @pytest.mark.parametrize(
     ("target", "what"),
-    [
-        *((target, what) for target in TARGETS for what in ("too few", "nan")),
-        *((TARGETS[4], w) for w in BLOCKS),
-    ],
+    [*((target, what) for target in TARGETS for what in ("too few", "nan")), *((TARGETS[4], w) for w in BLOCKS)],
     ids=lambda each: each if isinstance(each, str) else each.file_name,
 )
 def test_blocks_that_do_not_fit_the_header(

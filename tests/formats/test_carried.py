@@ -72,18 +72,7 @@ def images(path: Path) -> list[bytes]:
 def test_gltf(name: str, animation: str, data: Path, tmp_path: Path) -> None:
     source, target = data / "gltf" / f"{name}.glb", tmp_path / "slow.glb"
     model = tmp_path / "model.h5"
-    run(
-        "encode",
-        source,
-        model,
-        "--animation",
-        animation,
-        "--tolerance",
-        "1e-3",
-        "--space",
-        "vertex",
-        "--quiet",
-    )
+    run("encode", source, model, "--animation", animation, "--tolerance", "1e-3", "--space", "vertex", "--quiet")
     run("resample", model, target, "--fps", "30", "--speed", "0.5", "--quiet")
 
     before, after = document(source)[0], document(target)[0]

@@ -95,8 +95,7 @@ def test_alpha_and_texts() -> None:
 
 
 @pytest.mark.parametrize(
-    ("largest", "divisor"),
-    [(1, 1), (1.00001, 1), (1.5, 1), (2, 1), (16, 1), (16.5, 255), (254.5, 255), (255, 255)],
+    ("largest", "divisor"), [(1, 1), (1.00001, 1), (1.5, 1), (2, 1), (16, 1), (16.5, 255), (254.5, 255), (255, 255)]
 )
 def test_the_largest_number_tells_bytes(largest: float, divisor: float) -> None:
     for low in (0, 0.5):
@@ -333,10 +332,7 @@ def full() -> Surface:
         uvs=CornerValues(np.random.default_rng(1).random((5, 2)), np.arange(7) % 5),
         colours=CornerValues(np.random.default_rng(2).random((3, 4)), np.arange(7) % 3),
         hard_edges=np.arange(7)[::-1],
-        face_sets=(
-            FaceSet("Hände", np.array([0, 1]), "/Looks/Haut 皮"),
-            FaceSet("empty", np.array([], dtype=int)),
-        ),
+        face_sets=(FaceSet("Hände", np.array([0, 1]), "/Looks/Haut 皮"), FaceSet("empty", np.array([], dtype=int))),
         objects=(MeshObject("a", "/w/a", 4, 1), MeshObject("ä", "/w/ä", 3, 1, subdivision="none")),
         subdivision="loop",
         origin=Origin("glTF", "/tmp/走る.glb"),
@@ -381,10 +377,7 @@ def without(*names: str) -> Callable[[Arrays], Arrays]:
     [
         (without("uv_indices"), "uv_indices of the surface are missing"),
         (without("colour_values"), "colour_values of the surface are missing"),
-        (
-            without("face_set_sizes", "face_set_names"),
-            "face_set_names, face_set_sizes of the surface are missing",
-        ),
+        (without("face_set_sizes", "face_set_names"), "face_set_names, face_set_sizes of the surface are missing"),
         (lambda a: a | {"face_set_sizes": np.array([1, 2])}, "do not fit each other"),
         (lambda a: a | {"face_set_sizes": np.array([3, -1])}, "do not fit each other"),
         (lambda a: a | {"object_sizes": np.zeros((2, 3), dtype=int)}, "do not fit each other"),

@@ -157,10 +157,7 @@ def test_absurd_allocation(when: str, new_workers: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("when", ["opening", "reading"])
 def test_errors_are_the_same_as_here(when: str) -> None:
-    with (
-        pytest.raises(InvalidSequenceError, match=r"walk.abc: it is unsound"),
-        opened("error", when) as reader,
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"walk.abc: it is unsound"), opened("error", when) as reader:
         list(reader.blocks(1))
 
 

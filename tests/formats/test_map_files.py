@@ -201,19 +201,10 @@ def test_errors_name_file_and_line(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
-        (
-            {"version": "two", "corners": some_map().corners},
-            "is a map of version two; this mixseq reads version 1",
-        ),
+        ({"version": "two", "corners": some_map().corners}, "is a map of version two; this mixseq reads version 1"),
         ({"version": [1, 1], "corners": some_map().corners}, "this mixseq reads version 1"),
-        (
-            {"corners": some_map().corners, "weights": some_map().weights.astype(str)},
-            "type <U32; finite numbers",
-        ),
-        (
-            {"corners": some_map().corners, "weights": some_map().weights + 0j},
-            "type complex128; finite numbers",
-        ),
+        ({"corners": some_map().corners, "weights": some_map().weights.astype(str)}, "type <U32; finite numbers"),
+        ({"corners": some_map().corners, "weights": some_map().weights + 0j}, "type complex128; finite numbers"),
     ],
 )
 def test_arrays_of_other_types_are_refused(tmp_path: Path, arrays: dict[str, Any], message: str) -> None:

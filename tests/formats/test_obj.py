@@ -135,11 +135,7 @@ def test_dialects_of_the_text(tmp_path: Path, ends: str) -> None:
             "face 0 uses normal 2",
         ),
         (TRIANGLE.format(z=0) + "f 1 2", InvalidSequenceError, "polygon 1 has 2 corners"),
-        (
-            TRIANGLE.format(z=0) + "f 1 2 4",
-            InvalidSequenceError,
-            "face 1 uses vertex 3, but vertices are 0 to 2",
-        ),
+        (TRIANGLE.format(z=0) + "f 1 2 4", InvalidSequenceError, "face 1 uses vertex 3, but vertices are 0 to 2"),
         (TRIANGLE.format(z=0) + "f 1 2 -4", InvalidSequenceError, "face 1 uses vertex -1"),
         (TRIANGLE.format(z="nan"), InvalidSequenceError, "frame 0: vertex 0 is"),
         (TRIANGLE.format(z="1e999"), InvalidSequenceError, "frame 0: vertex 0 is"),

@@ -32,10 +32,7 @@ def test_a_square(text: str, tmp_path: Path) -> None:
     square = read(tmp_path / "square.off")
     assert square.points[0].tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
     assert square.points.dtype == np.float64
-    assert square.faces.tolist() in (
-        [[0, 1, 2], [0, 2, 3]],
-        [[0, 1, 2], [2, 3, 0]],
-    )  # trimesh turns the quad's
+    assert square.faces.tolist() in ([[0, 1, 2], [0, 2, 3]], [[0, 1, 2], [2, 3, 0]])  # trimesh turns the quad's
 
 
 def test_files_are_told_to_lose_polygons(tmp_path: Path) -> None:
@@ -64,11 +61,7 @@ def test_cut_anywhere(tmp_path: Path) -> None:
         ("3 0 2 3", "3 0 2", "face 1: '3 0 2' is not a face"),
         ("3 0 2 3", "3 0 2 3 0 1 2 0 1", "face 1: '3 0 2 3 0 1 2 0 1' is not a face"),
         ("3 0 2 3", "3 0\f2 3", "cannot be read as an OFF file"),
-        (
-            "3 0 2 3",
-            "3 0 2 4",
-            "(cannot be read as an OFF file|face 1 uses vertex 4)",
-        ),  # by version of trimesh
+        ("3 0 2 3", "3 0 2 4", "(cannot be read as an OFF file|face 1 uses vertex 4)"),  # by version of trimesh
         ("1 1 0", "1 one 0", "cannot be read as an OFF file"),
         ("OFF", "OF", "cannot be read as an OFF file"),
     ],
@@ -88,12 +81,7 @@ def test_other_faces_in_a_later_frame(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("colour", "expected"),
-    [
-        ("255 0 51 102", [1, 0, 0.2, 0.4]),
-        ("1 0 0.2 0.4", [1, 0, 0.2, 0.4]),
-        ("255 0 51", [1, 0, 0.2, 1]),
-        ("7", None),
-    ],
+    [("255 0 51 102", [1, 0, 0.2, 0.4]), ("1 0 0.2 0.4", [1, 0, 0.2, 0.4]), ("255 0 51", [1, 0, 0.2, 1]), ("7", None)],
 )
 def test_colours(tmp_path: Path, colour: str, expected: list[float] | None) -> None:
     text = f"COFF\n3 1 0\n0 0 0 {colour}\n1 0 0 {colour}\n0 1 0 {colour}\n3 0 1 2\n"

@@ -53,9 +53,7 @@ def binary(order: str, real: str = "double") -> bytes:
 
 
 @pytest.mark.parametrize(
-    "content",
-    [text(), text().replace(b"\n", b"\r\n"), binary("<"), binary(">")],
-    ids=["text", "crlf", "little", "big"],
+    "content", [text(), text().replace(b"\n", b"\r\n"), binary("<"), binary(">")], ids=["text", "crlf", "little", "big"]
 )
 def test_dialects(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.ply").write_bytes(content)
@@ -279,10 +277,7 @@ WEDGES = ("12 " + "1 0 0.2 " * 4, "9 " + "0 0 1 " * 3)
             painted(face=channels("uchar", "red", "green", "blue"), of_faces=("255 0 0", "0 0 255")),
             [[1, 0, 0, 1]] * 4 + [[0, 0, 1, 1]] * 3,
         ),
-        (
-            painted(face="property list uchar float color", of_faces=WEDGES),
-            [[1, 0, 0.2, 1]] * 4 + [[0, 0, 1, 1]] * 3,
-        ),
+        (painted(face="property list uchar float color", of_faces=WEDGES), [[1, 0, 0.2, 1]] * 4 + [[0, 0, 1, 1]] * 3),
         (
             painted(face="property list uchar float color", of_faces=(WEDGES[0], "0")),
             [[1, 0, 0.2, 1]] * 4 + [[1, 1, 1, 1]] * 3,
@@ -350,10 +345,7 @@ def test_bytes_beside_a_float_alpha_in_binary_files(tmp_path: Path) -> None:
     ("of_faces", "told"),
     [
         (("3 1 0 0", "3 1 0 0"), r"face 0 has 3 numbers of colours for 4 corners, not 3 for each"),
-        (
-            ("16" + 16 * " 1", "9" + 9 * " 1"),
-            r"face 1 has 9 numbers of colours for 3 corners, not 4 for each",
-        ),
+        (("16" + 16 * " 1", "9" + 9 * " 1"), r"face 1 has 9 numbers of colours for 3 corners, not 4 for each"),
     ],
 )
 @pytest.mark.parametrize("also_vertices", [False, True])

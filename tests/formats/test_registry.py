@@ -41,11 +41,7 @@ def test_extensions_may_be_capitals(plain: MeshSequence, tmp_path: Path) -> None
         ("a.npz", "b.h5", r"holds zip \(npz or usdz\) data, not HDF5 sequence"),
         ("a.usda", "b.obj", "holds USD data, not OBJ"),
         ("a.npz", "b.usdz", "cannot be read as USD"),
-        (
-            "a.h5",
-            "b.xyz",
-            "the extension '.xyz' is not known, and it holds HDF5 sequence data; known are .usd",
-        ),
+        ("a.h5", "b.xyz", "the extension '.xyz' is not known, and it holds HDF5 sequence data; known are .usd"),
     ],
 )
 def test_files_under_a_wrong_name(plain: MeshSequence, tmp_path: Path, written: str, named: str, message: str) -> None:

@@ -118,8 +118,7 @@ def test_skins_of_the_same_joints_are_one_skeleton(tmp_path: Path) -> None:
         mixseq.read_skeleton(tmp_path / "b.glb", "hand")
     maker.json["skins"][2]["name"] = "left"
     with pytest.raises(
-        AmbiguousError,
-        match=r"'skin 0', 'skin 2'; choose one by name \(in Python, as name= of mixseq\.read_sk",
+        AmbiguousError, match=r"'skin 0', 'skin 2'; choose one by name \(in Python, as name= of mixseq\.read_sk"
     ):
         mixseq.read_skeleton(maker.glb(tmp_path / "c.glb"), "left")
 
@@ -130,10 +129,7 @@ def test_skins_of_the_same_joints_are_one_skeleton(tmp_path: Path) -> None:
         (lambda maker: maker.json.pop("skins"), r"arm\.glb has no skeleton; a file with a character"),
         (lambda maker: maker.json["skins"][0].update(joints=[]), r"skins\[0\] has no joints"),
         (lambda maker: maker.json["skins"][0].update(joints=[9]), r"nodes\[9\] is referenced"),
-        (
-            lambda maker: maker.json["skins"][0].update(joints=[0, 1, 2]),
-            r"skins\[0\] has 3 joints, but inverse",
-        ),
+        (lambda maker: maker.json["skins"][0].update(joints=[0, 1, 2]), r"skins\[0\] has 3 joints, but inverse"),
         (
             lambda maker: maker.json["skins"][0].update(inverseBindMatrices=maker.add(np.zeros((2, 16)))),
             r"skins\[0\] has an inverse bind matrix that is not invertible",

@@ -162,10 +162,7 @@ def with_a_hole(velocities: FloatArray) -> FloatArray:
         (lambda v: [v[:2], v[2:4]], r"velocities from frame 2 on have shape \(2, 4, 3\), points \(3, 4, 3\)"),
         (lambda v: [v[:2], v[2:, :3]], r"velocities from frame 2 on have shape \(3, 3, 3\), points"),
         (lambda v: [v[:2], v[2:], v], "more velocities than points"),
-        (
-            lambda v: [v[:2], with_a_hole(v)[2:]],
-            r"frame 3: the velocity of vertex 1 is .*nan.*must be finite",
-        ),
+        (lambda v: [v[:2], with_a_hole(v)[2:]], r"frame 3: the velocity of vertex 1 is .*nan.*must be finite"),
         (lambda v: [v[:2], 1e39 * v[2:].astype(float)], "frame 2: the velocity of vertex 0 is .*too large"),
     ],
     ids=["few", "short", "vertices", "many", "nan", "large"],

@@ -58,10 +58,7 @@ def _thinned(points: Float, count: int, left: Float) -> Fox:
     kept, coarse = decimate(np.asarray(points, np.float64), faces, count)
     bone, names = part_of_vertex()
     return Fox(
-        MeshSequence.from_arrays(points[None, kept], coarse, fps=24),
-        tuple(names[bone[v]] for v in kept),
-        left,
-        kept,
+        MeshSequence.from_arrays(points[None, kept], coarse, fps=24), tuple(names[bone[v]] for v in kept), left, kept
     )
 
 

@@ -13,13 +13,7 @@ import pytest
 import mixseq
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.checks import (
-    check_facing,
-    check_markers,
-    check_orientation,
-    find_conflicts,
-    find_orientation,
-)
+from mixseq.retargeting.checks import check_facing, check_markers, check_orientation, find_conflicts, find_orientation
 from mixseq.retargeting.markers import Markers
 from mixseq.types import Float, Index
 from mixseq_io.text.markers import read_markers
@@ -172,14 +166,8 @@ def test_a_flat_sheet_may_be_turned_over() -> None:
         ([[1, 1], [2, 2], [3, 3], [28, 4]], "subtract 1 from all: the file may count from 1"),
         ([[0, 0], [1, 1], [2, 2], [3, 99]], r"the target has 28 vertices.* are not exchanged$"),
         ([[0, 0], [1, 1], [2, 2], [3, -1]], "the target has 28 vertices"),
-        (
-            [[0, 0], [1, 1], [2, 2], [0, 3]],
-            r"markers 1 \(0 -> 0\) and 4 \(0 -> 3\) give vertex 0 of the source two",
-        ),
-        (
-            [[0, 0], [1, 1], [2, 2], [3, 1]],
-            r"markers 2 \(1 -> 1\) and 4 \(3 -> 1\) give vertex 1 of the target two",
-        ),
+        ([[0, 0], [1, 1], [2, 2], [0, 3]], r"markers 1 \(0 -> 0\) and 4 \(0 -> 3\) give vertex 0 of the source two"),
+        ([[0, 0], [1, 1], [2, 2], [3, 1]], r"markers 2 \(1 -> 1\) and 4 \(3 -> 1\) give vertex 1 of the target two"),
     ],
 )
 def test_invalid_markers_are_refused(pairs: list[list[int]], message: str) -> None:
@@ -289,11 +277,7 @@ CASES = {
 def _case(data: Path, file: Path, source: str, target: str) -> Case:
     points = [mixseq.read(data / "npz" / f"{name}.npz").points[0].astype(float) for name in (source, target)]
     found = read_markers(file)
-    return (
-        Markers(found.source, found.target, tuple(f"<{n}>" for n in range(len(found)))),
-        points[0],
-        points[1],
-    )
+    return (Markers(found.source, found.target, tuple(f"<{n}>" for n in range(len(found)))), points[0], points[1])
 
 
 @pytest.mark.realdata

@@ -10,12 +10,7 @@ from mixseq.mesh.measures import signed_volume
 from mixseq.mesh.topology import Topology
 from tests.meshes import Mesh, grid, pages, tetrahedron, topology_of, torus, tube
 
-MESHES = {
-    "tube": tube(12, 40),
-    "open tube": tube(12, 40, closed=False),
-    "torus": torus(30, 16),
-    "sheet": grid(20, 20),
-}
+MESHES = {"tube": tube(12, 40), "open tube": tube(12, 40, closed=False), "torus": torus(30, 16), "sheet": grid(20, 20)}
 
 
 def euler(topology: Topology) -> int:

@@ -111,10 +111,7 @@ def test_any_axis_may_point_up() -> None:
 def test_time_may_run_backwards() -> None:
     scene = walk(1.3, 1.0)
     back = replace(
-        scene,
-        rotations=scene.rotations[::-1],
-        centres=scene.centres[::-1],
-        paths=[path[::-1] for path in scene.paths],
+        scene, rotations=scene.rotations[::-1], centres=scene.centres[::-1], paths=[path[::-1] for path in scene.paths]
     )
     np.testing.assert_allclose(back.planted().centres[::-1], scene.planted().centres, atol=1e-8)
 
@@ -261,11 +258,7 @@ def fox(legs: float) -> Walk:
     target, contacts = at_rest(legs)
     _, heads = pose_skeleton(phase)
     root = heads[:, 0] + np.einsum("tij,j->ti", rotations[:, 0], source.centres[0] - BONE_HEADS[0])
-    root = root + phase[:, None] * [
-        STANCE_TRAVEL_METRES / ON_GROUND,
-        0.0,
-        0.0,
-    ]  # over the ground, not on the spot
+    root = root + phase[:, None] * [STANCE_TRAVEL_METRES / ON_GROUND, 0.0, 0.0]  # over the ground, not on the spot
     # The fox's pasterns turn in the air as it likes: its own skeleton tells where paws are.
     places = heads + np.einsum("tbij,bj->tbi", rotations, BONE_TAILS - BONE_HEADS)
     places += phase[:, None, None] * [STANCE_TRAVEL_METRES / ON_GROUND, 0.0, 0.0]
@@ -396,11 +389,7 @@ def test_a_contact_without_a_limb_is_unchanged() -> None:
 
 def test_limb_solution_commutes_with_rotations() -> None:
     rng = np.random.default_rng(0)
-    levers, moves, world = (
-        leg(0.4, 5),
-        0.05 * rng.normal(size=(5, 1, 3)),
-        rotvec_to_matrix(rng.normal(size=3)),
-    )
+    levers, moves, world = (leg(0.4, 5), 0.05 * rng.normal(size=(5, 1, 3)), rotvec_to_matrix(rng.normal(size=3)))
     turns, left = rotate_limbs(levers, moves, ANKLE)
     turned, other = rotate_limbs(levers @ world.T, moves @ world.T, ANKLE)
     np.testing.assert_allclose(other, left @ world.T, atol=1e-12)

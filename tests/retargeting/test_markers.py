@@ -37,8 +37,7 @@ def test_invalid_pairs_are_refused(pairs: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "called"),
-    [((), "2 (3 -> 4)"), (("nose", "tail"), "'tail' (3 -> 4)"), (("nose", ""), "2 (3 -> 4)")],
+    ("names", "called"), [((), "2 (3 -> 4)"), (("nose", "tail"), "'tail' (3 -> 4)"), (("nose", ""), "2 (3 -> 4)")]
 )
 def test_names_default_to_numbers(names: tuple[str, ...], called: str) -> None:
     assert Markers.from_pairs([[1, 2], [3, 4]], names).name(1) == called

@@ -150,14 +150,11 @@ def test_a_contact_may_bend_within_its_part() -> None:
     seen = points + np.arange(4)[:, None, None] * [0.0, 0.0, 0.1]
     soft = Contact("foot", points, np.array([1, 1]), seen)
     np.testing.assert_allclose(
-        walker.contact_path(soft, turns, centres)[0],
-        walker.contact_path(stiff, turns, centres)[0],
-        atol=1e-12,
+        walker.contact_path(soft, turns, centres)[0], walker.contact_path(stiff, turns, centres)[0], atol=1e-12
     )
     up = walker.contact_path(soft, turns, centres) - walker.contact_path(stiff, turns, centres)
     np.testing.assert_allclose(up, seen - points, atol=1e-12)  # z is not turned
     some = np.array([1, 3])
     np.testing.assert_array_equal(
-        walker.contact_path(soft, turns[some], centres[some], some),
-        walker.contact_path(soft, turns, centres)[some],
+        walker.contact_path(soft, turns[some], centres[some], some), walker.contact_path(soft, turns, centres)[some]
     )

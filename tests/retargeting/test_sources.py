@@ -103,10 +103,7 @@ def test_a_rest_of_another_mesh_is_refused() -> None:
     ):
         prepare_source(WALK, other)
     mirrored = MeshSequence.from_arrays(WALK.points, WALK.faces[:, ::-1])
-    with pytest.raises(
-        InvalidSequenceError,
-        match=r"polygon 0 of the motion \(vertices .*\) is flipped in the mesh",
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"polygon 0 of the motion \(vertices .*\) is flipped in the mesh"):
         prepare_source(WALK, mirrored)
 
 

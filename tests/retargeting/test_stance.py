@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.retargeting.contacts import (
-    Stance,
-    anchor_offsets,
-    fade_moves,
-    find_stances,
-    solve_body_shift,
-)
+from mixseq.retargeting.contacts import Stance, anchor_offsets, fade_moves, find_stances, solve_body_shift
 from tests.retargeting.walkers import CYCLE, DUTY, foot
 
 

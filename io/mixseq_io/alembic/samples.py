@@ -36,13 +36,7 @@ try:
 except ImportError as error:
     raise MissingExtraError("Alembic files need the package alembic3d: pip install 'mixseq[alembic]'") from error
 
-LIBRARY_ERRORS: tuple[type[Exception], ...] = (
-    RuntimeError,
-    ValueError,
-    TypeError,
-    LookupError,
-    ArithmeticError,
-)
+LIBRARY_ERRORS: tuple[type[Exception], ...] = (RuntimeError, ValueError, TypeError, LookupError, ArithmeticError)
 """Exceptions that the library or value conversions raise for damaged files."""
 
 _COLOUR_CHANNELS = {imath.C3fArray: "rgb", imath.C4fArray: "rgba"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, replace
 from math import inf
+from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
@@ -16,7 +17,12 @@ from mixseq.compression.encoder.uvs import encode_uvs
 from mixseq.errors import InvalidSequenceError
 from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.bodies import SAME_BODY
+from mixseq.version import __version__
 from mixseq_io.coded.streams import INDEX_HEAD, LABEL_COUNT, MAGIC, Container, pack_leb128, pack_surface, pack_times
+from mixseq_io.hdf5.contents import MODEL_FORMAT
+
+if TYPE_CHECKING:
+    import h5py
 
 
 def pack(coded: CompressedSequence) -> Container:
@@ -85,3 +91,24 @@ def facts_json(coded: CompressedSequence) -> bytes:
         cuts = {"cuts": coded.between.cuts} if coded.between.cuts else {}
         facts["between"] = {"length": None if length == inf else length, "cubic": cubic, **cuts}
     return json.dumps(facts, separators=(",", ":")).encode("ascii")
+
+
+def write_container(file: h5py.File, container: Container) -> None:
+    """Store the text of a compressed model as an attribute, and all streams as one dataset, as each takes bytes.
+
+    Further bodies have groups. Strings have fixed length, since a string of variable length takes 4 KiB.
+    """
+    import h5py
+
+    from mixseq_io.hdf5.datasets import body_groups
+
+    def write_text(group: h5py.Group, name: str, text: bytes) -> None:
+        group.attrs.create(name, text, dtype=h5py.string_dtype("ascii", len(text)))
+
+    write_text(file, "format", MODEL_FORMAT.encode())
+    write_text(file, "created_by", f"mixseq {__version__}".encode())
+    file.attrs["version"] = container.version
+    groups = body_groups(file, len(container.bodies))
+    for each, group in zip((container, *container.bodies), (file, *groups), strict=True):
+        write_text(group, "coding", each.text)
+        group.create_dataset("streams", data=np.frombuffer(each.streams, dtype=np.uint8), track_times=False)

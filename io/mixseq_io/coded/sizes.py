@@ -31,11 +31,10 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
 from mixseq.sequence.sequence import Frames
 from mixseq.types import Float
-from mixseq_io.coded.packing import facts_json, header_streams, pack
+from mixseq_io.coded.packing import facts_json, header_streams, pack, write_container
 from mixseq_io.coded.streams import Container
 from mixseq_io.gltf.mesh_sequence import StillBody, glb_size
 from mixseq_io.hdf5.datasets import H5_VERSIONS
-from mixseq_io.model_files import write_container
 
 _LONGEST_NUMBER, _LONGEST_FRACTION = 1.2345678901234567e-05, 0.12345678901234566
 _RANK_OF_PARTS = (99,) * 12

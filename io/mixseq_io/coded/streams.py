@@ -531,11 +531,7 @@ def _check_facts(path: Path, facts: Mapping[str, Any], parameters: CodingParamet
 
 
 def _header(
-    path: Path,
-    facts: Mapping[str, Any],
-    parameters: CodingParameters,
-    index: StreamIndex,
-    data: Mapping[str, bytes],
+    path: Path, facts: Mapping[str, Any], parameters: CodingParameters, index: StreamIndex, data: Mapping[str, bytes]
 ) -> SequenceHeader:
     """Decode mesh and times from `StreamIndex.header`; raise `FormatError` if they are contradictory or too large."""
     _check_facts(path, facts, parameters, index)

@@ -257,10 +257,7 @@ def read_extra_number(animation: Fields | None, name: str, above: float = -_MAX_
 
 
 def read_channels(
-    document: Document,
-    animation: Fields | None,
-    nodes: Collection[int],
-    errors: dict[int, MixseqError] | None = None,
+    document: Document, animation: Fields | None, nodes: Collection[int], errors: dict[int, MixseqError] | None = None
 ) -> list[Channel]:
     """Read the channels of an animation that target the given nodes; add errors to `errors` by node, or raise them."""
     if animation is None:

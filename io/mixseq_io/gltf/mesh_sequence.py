@@ -181,10 +181,7 @@ def _select_used(
 ) -> tuple[NDArray[np.uint32], dict[str, Single]]:
     """Return the triangles ``(F, 3)`` of a primitive, and attributes ``(n, k)`` of the vertices in triangles."""
     used, corners = np.unique(primitive.triangles, return_inverse=True)
-    attributes = {
-        "POSITION": positions[primitive.vertex_ids[used]],
-        "NORMAL": normals[primitive.normal_ids[used]],
-    }
+    attributes = {"POSITION": positions[primitive.vertex_ids[used]], "NORMAL": normals[primitive.normal_ids[used]]}
     attributes |= {name: values[used] for name, values in primitive.attributes.items()}
     return corners.reshape(-1, 3).astype(np.uint32), attributes
 

@@ -316,30 +316,23 @@ def material_name(face_set: FaceSet) -> str:
 
 
 def _add_mesh(layout: Layout, scene_mesh: SceneMesh, name: str, materials: dict[str, int]) -> MovingMesh:
-    primitives = [_add_primitive(layout, each, scene_mesh, materials) for each in split_primitives(scene_mesh)]
-    entry = {**name_member(name), "primitives": [each.entry for each in primitives]}
-    mesh = append(layout.document, "meshes", entry)
+    primitives = []
+    for each in split_primitives(scene_mesh):
+        entry = add_triangles(layout, each.triangles, each.attributes)
+        if each.face_set is not None:
+            entry["material"] = add_material(layout.document, material_name(each.face_set), materials)
+        primitives.append(MovingPrimitive(entry, each.vertex_ids, each.normal_ids))
+        add_vertex_numbers(layout, primitives[-1], scene_mesh.vertex_count)
+    mesh = append(
+        layout.document, "meshes", {**name_member(name), "primitives": [moving.entry for moving in primitives]}
+    )
     node = append(layout.document, "nodes", {**name_member(name), "mesh": mesh})
     return MovingMesh(node, scene_mesh, primitives)
 
 
-def _add_primitive(
-    layout: Layout, primitive: SplitPrimitive, scene_mesh: SceneMesh, materials: dict[str, int]
-) -> MovingPrimitive:
-    entry = add_triangles(layout, primitive.triangles, primitive.attributes)
-    if primitive.face_set is not None:
-        entry["material"] = add_material(layout.document, material_name(primitive.face_set), materials)
-    moving = MovingPrimitive(entry, primitive.vertex_ids, primitive.normal_ids)
-    add_vertex_numbers(layout, moving, scene_mesh.vertex_count)
-    return moving
-
-
 def add_triangles(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
     """Add triangles ``(F, 3)`` and attributes ``(n, k)`` by glTF name; return the primitive's JSON entry."""
-    add: dict[str, Callable[[Single], int]] = {
-        "POSITION": layout.add_points,
-        "COLOR_0": partial(_add_colours, layout),
-    }
+    add: dict[str, Callable[[Single], int]] = {"POSITION": layout.add_points, "COLOR_0": partial(_add_colours, layout)}
     add_values = partial(layout.add_array, target=ARRAY_BUFFER)
     accessors = {name: add.get(name, add_values)(values) for name, values in attributes.items()}
     corners = triangles.reshape(-1)

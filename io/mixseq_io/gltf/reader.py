@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -380,14 +381,12 @@ def _influencing_nodes(scene: Scene, nodes: Sequence[int]) -> set[int]:
 
 def _mesh_node_reader(scene: Scene, channels: Collection[Channel]) -> Callable[[int], MeshNode]:
     """Return the function that reads a node with a mesh, whose animated weights have to match its targets."""
-    document, welds, number_count = scene.document, dict[int, Weld](), 0
+    document, number_count = scene.document, 0
+    weld_mesh = cache(partial(_weld, document))
 
     def read(node: int) -> MeshNode:
         nonlocal number_count
-        mesh = scene.nodes[node].integer("mesh")
-        if mesh not in welds:
-            welds[mesh] = _weld(document, mesh)
-        weld = welds[mesh]
+        weld = weld_mesh(scene.nodes[node].integer("mesh"))
         if not weld.primitives:
             where = f"{document.path}: {scene.paths[node]}"
             raise NoMeshError(f"{where} has no triangles to read; points and lines alone are not a mesh")

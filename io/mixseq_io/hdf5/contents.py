@@ -120,6 +120,12 @@ def check_version(file: Contents, supported: int) -> None:
 
 def read_header(file: Contents, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:
     """Return the header stored by `mixseq_io.hdf5.datasets.write_header`."""
+    stored = {name: file.arrays.get(f"surface/{name}") for name in SURFACE_ARRAY_NAMES}
+    arrays = {
+        name: np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
+        for name, array in stored.items()
+        if array is not None
+    }
     return SequenceHeader(
         polygons=Polygons(file.arrays["polygons/counts"], file.arrays["polygons/indices"]),
         vertex_count=vertex_count,
@@ -128,14 +134,5 @@ def read_header(file: Contents, vertex_count: int, times: NDArray[np.float64]) -
         up_axis=file.text("up_axis"),
         metres_per_unit=float(file.attrs["metres_per_unit"]),
         name=file.text("name"),
-        surface=surface_from_arrays(_surface_arrays(file), file.path.parent),
+        surface=surface_from_arrays(arrays, file.path.parent),
     )
-
-
-def _surface_arrays(file: Contents) -> dict[str, NDArray[Any]]:
-    arrays = {name: file.arrays.get(f"surface/{name}") for name in SURFACE_ARRAY_NAMES}
-    return {
-        name: np.char.decode(array, "utf-8") if array.dtype.kind == "S" else np.asarray(array)
-        for name, array in arrays.items()
-        if array is not None
-    }

@@ -28,12 +28,7 @@ from mixseq_io.files import atomic_file
 from mixseq_io.hdf5.contents import Contents
 from mixseq_io.surfaces import surface_to_arrays
 
-STORAGE_OPTIONS: dict[str, Any] = {
-    "fletcher32": True,
-    "shuffle": True,
-    "compression": "gzip",
-    "compression_opts": 6,
-}
+STORAGE_OPTIONS: dict[str, Any] = {"fletcher32": True, "shuffle": True, "compression": "gzip", "compression_opts": 6}
 """Storage options of all datasets that are not empty."""
 
 _CHUNK_ROWS, _CHUNK_COLUMNS = 64, 2048

@@ -89,10 +89,7 @@ class _H5Reader(SequenceReader):
 
 
 def write_h5(
-    path: Path,
-    header: SequenceHeader,
-    blocks: Iterable[FloatArray],
-    velocities: Iterable[FloatArray] | None = None,
+    path: Path, header: SequenceHeader, blocks: Iterable[FloatArray], velocities: Iterable[FloatArray] | None = None
 ) -> None:
     """Write an HDF5 sequence block by block; see `mixseq_io.write_blocks`."""
     with create_h5(path) as (file, buffer):

@@ -448,10 +448,7 @@ def _encode_faces(polygons: Polygons, lists: Sequence[NDArray[np.float32]]) -> b
     All numbers have four bytes, so that rows of different lengths can be filled together in one array of words.
     """
     counts = polygons.counts.astype(np.int64)
-    tables = [
-        polygons.indices[:, None],
-        *(np.ascontiguousarray(values, "<f4").view("<i4") for values in lists),
-    ]
+    tables = [polygons.indices[:, None], *(np.ascontiguousarray(values, "<f4").view("<i4") for values in lists)]
     lengths = sum(1 + table.shape[1] * counts for table in tables)
     starts = np.cumsum(lengths) - lengths
     words = np.empty(int(lengths.sum()), dtype="<i4")

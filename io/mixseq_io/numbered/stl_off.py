@@ -311,9 +311,5 @@ def _warn_of_changed_vertices(path: Path, header: SequenceHeader, indices: IntAr
 
 
 STL_FORMAT = FrameFormat(
-    "STL",
-    parse_stl,
-    _stl_encoder,
-    lambda header: lost_surface(header) + lost_polygons(header),
-    is_welded=True,
+    "STL", parse_stl, _stl_encoder, lambda header: lost_surface(header) + lost_polygons(header), is_welded=True
 )

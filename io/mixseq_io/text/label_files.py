@@ -290,11 +290,7 @@ def check_label_target(path: PathLike) -> str:
 
 
 def _write_subsets(
-    file: Path,
-    sequence: MeshSequence | SequenceReader,
-    of_polygon: IntArray,
-    names: Sequence[str],
-    flatten: bool,
+    file: Path, sequence: MeshSequence | SequenceReader, of_polygon: IntArray, names: Sequence[str], flatten: bool
 ) -> None:
     from mixseq_io.usd.writer import FaceParts, write_usd, write_usd_parts
 
@@ -325,9 +321,7 @@ def _remove_face_sets(header: SequenceHeader, old: Sequence[FaceSet]) -> Sequenc
     return replace(header, surface=replace(header.surface, face_sets=tuple(kept)))
 
 
-def _blocks(
-    sequence: MeshSequence | SequenceReader,
-) -> tuple[Iterable[FloatArray], Iterable[FloatArray] | None]:
+def _blocks(sequence: MeshSequence | SequenceReader) -> tuple[Iterable[FloatArray], Iterable[FloatArray] | None]:
     """Return the blocks of a sequence's points, and the blocks of its velocities or None."""
     if isinstance(sequence, SequenceReader):
         return sequence.blocks(), sequence.velocity_blocks()

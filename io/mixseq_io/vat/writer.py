@@ -198,11 +198,7 @@ _Encoding = tuple[MeshSequence, Texels, Textures, VatReport]
 
 
 def _encode(
-    sequence: MeshSequence,
-    max_error: float | None,
-    pixel_type: PixelType,
-    motion: Decodable | None,
-    progress: Progress,
+    sequence: MeshSequence, max_error: float | None, pixel_type: PixelType, motion: Decodable | None, progress: Progress
 ) -> _Encoding:
     """Encode a sequence, relative to the origin of its texels, as textures, plain without `max_error`; measure them."""
     origin = choose_origin(sequence.points[0])

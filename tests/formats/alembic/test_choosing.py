@@ -41,11 +41,7 @@ def test_all_that_moves_is_joined(scene: Path) -> None:
     np.testing.assert_array_equal(got.points[:, :4], rising())
     np.testing.assert_array_equal(got.points[:, 4:8], 2 * rising() + up)
     np.testing.assert_array_equal(got.points[:, 8:], 2 * rising() + np.array([9, 0, 0], np.float32))
-    assert got.polygons.indices.tolist() == [
-        *TRIANGLES.indices,
-        *(TRIANGLES.indices + 4),
-        *(TRIANGLES.indices + 8),
-    ]
+    assert got.polygons.indices.tolist() == [*TRIANGLES.indices, *(TRIANGLES.indices + 4), *(TRIANGLES.indices + 8)]
 
 
 @pytest.mark.parametrize(

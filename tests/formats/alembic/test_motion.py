@@ -48,11 +48,7 @@ def test_faces_are_turned_counter_clockwise(path: Path) -> None:
 @pytest.mark.parametrize(
     ("sampling", "times", "fps"),
     [
-        (
-            lambda: AbcCoreAbstract.TimeSampling(1001 / 30000, 1.0),
-            1 + np.arange(3) * 1001 / 30000,
-            30000 / 1001,
-        ),
+        (lambda: AbcCoreAbstract.TimeSampling(1001 / 30000, 1.0), 1 + np.arange(3) * 1001 / 30000, 30000 / 1001),
         (lambda: acyclic(-1, 0.5, 7 / 3), [-1, 0.5, 7 / 3], 24),
         (lambda: acyclic(0, 1 / 25, 4 / 25), [0, 1 / 25, 4 / 25], 25),
         (lambda: acyclic(-0.2, 0, 0.2, 0.7, 9), [-0.2, 0, 0.2], 5),

@@ -293,8 +293,7 @@ def test_a_mesh_that_is_made_flat(tmp_path: Path, path: Path) -> None:
     add_mesh(add_transform(archive.getTop(), "rig", np.eye(4), shift(scale=(1, 0, 1))), "body", rising())
     del archive
     with pytest.warns(
-        MixseqWarning,
-        match="'/rig/body' cannot get new points: the transforms above it make it flat in frame 1",
+        MixseqWarning, match="'/rig/body' cannot get new points: the transforms above it make it flat in frame 1"
     ):
         mixseq.write(path, load(shot))
 

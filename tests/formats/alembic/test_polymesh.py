@@ -141,35 +141,19 @@ def test_face_sets_and_materials(path: Path) -> None:
     del archive, mesh, belt
     skin, leather = load(path).surface.face_sets
     assert (skin.name, skin.material, skin.polygons.tolist()) == ("skin", "/materials/skin", [0])
-    assert (leather.name, leather.material, leather.polygons.tolist()) == (
-        "Gürtel",
-        "/materials/leather",
-        [1],
-    )
+    assert (leather.name, leather.material, leather.polygons.tolist()) == ("Gürtel", "/materials/leather", [1])
 
 
 @pytest.mark.parametrize("scheme", ["catmull-clark", "catmullClark", "loop", "bilinear"])
 def test_subdivision(path: Path, scheme: str) -> None:
-    save_mesh(
-        path,
-        "cage",
-        rising(),
-        subdivided=True,
-        dress=lambda sample, _: sample.setSubdivisionScheme(scheme),
-    )
+    save_mesh(path, "cage", rising(), subdivided=True, dress=lambda sample, _: sample.setSubdivisionScheme(scheme))
     got = load(path)
     assert got.surface.subdivision == scheme.replace("-c", "C")
     assert got.polygons.same_as(TRIANGLES)
 
 
 def test_an_unknown_subdivision(path: Path) -> None:
-    save_mesh(
-        path,
-        "cage",
-        rising(),
-        subdivided=True,
-        dress=lambda sample, _: sample.setSubdivisionScheme("doo"),
-    )
+    save_mesh(path, "cage", rising(), subdivided=True, dress=lambda sample, _: sample.setSubdivisionScheme("doo"))
     with pytest.warns(MixseqWarning, match="/cage is subdivided by 'doo', which is read as Catmull-Clark"):
         assert load(path).surface.subdivision == "catmullClark"
 
@@ -190,11 +174,7 @@ def test_more_texture_coordinates(path: Path) -> None:
 @pytest.mark.parametrize("indexed", [False, True])
 @pytest.mark.parametrize(
     ("scope", "places"),
-    [
-        (Scope.kFacevaryingScope, [0, 1, 2, 3, 4, 5]),
-        (Scope.kVertexScope, CLOCKWISE),
-        (Scope.kConstantScope, [0] * 6),
-    ],
+    [(Scope.kFacevaryingScope, [0, 1, 2, 3, 4, 5]), (Scope.kVertexScope, CLOCKWISE), (Scope.kConstantScope, [0] * 6)],
     ids=["corners", "vertices", "constant"],
 )
 @pytest.mark.parametrize("channels", [3, 4])

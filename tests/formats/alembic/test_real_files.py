@@ -41,10 +41,7 @@ def test_a_cache_of_blender(data: Path, path: Path) -> None:
 
 @pytest.mark.realdata
 def test_alembic_and_usd_of_one_scene(data: Path) -> None:
-    got, other = (
-        load(data / "alembic" / "q_man_run_blender50.abc"),
-        read(data / "usd" / "q_man_run_blender50.usdc"),
-    )
+    got, other = (load(data / "alembic" / "q_man_run_blender50.abc"), read(data / "usd" / "q_man_run_blender50.usdc"))
     assert got.polygons.same_as(other.polygons)
     turned = np.stack([other.points[..., 0], other.points[..., 2], -other.points[..., 1]], -1)  # Z up
     np.testing.assert_allclose(got.points, turned, rtol=0, atol=1e-6)

@@ -132,10 +132,7 @@ def test_objects_come_back(path: Path, joined: MeshSequence) -> None:
     assert [each.path for each in got.surface.objects] == ["/man/arm/arm", "/man/arm_2/arm_2"]
     np.testing.assert_array_equal(got.points, joined.points)
     assert got.polygons.same_as(joined.polygons)
-    assert [(each.name, each.polygons.tolist()) for each in got.surface.face_sets] == [
-        ("cloth", [1]),
-        ("cloth", [2]),
-    ]
+    assert [(each.name, each.polygons.tolist()) for each in got.surface.face_sets] == [("cloth", [1]), ("cloth", [2])]
     only = load(path, "arm_2")
     np.testing.assert_array_equal(only.points, joined.points[:, 4:])
 
@@ -184,10 +181,7 @@ def test_the_room_is_checked_first(path: Path, monkeypatch: pytest.MonkeyPatch) 
         save(path, moving())
     assert list(path.parent.iterdir()) == []
     monkeypatch.undo()
-    for sequence in (
-        moving(),
-        MeshSequence(**{**moving().__dict__, "surface": FULL_SURFACE, "velocities": rising()}),
-    ):
+    for sequence in (moving(), MeshSequence(**{**moving().__dict__, "surface": FULL_SURFACE, "velocities": rising()})):
         save(path, sequence)
         with pytest.raises(OutputError), monkeypatch.context() as full:
             full.setattr(os, "posix_fallocate", allocate, raising=False)

@@ -104,20 +104,11 @@ def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            lambda facts: facts["coding"].update(magic=1),
-            "the parameter 'magic' is unknown to this mixseq; upgrade it",
-        ),
-        (
-            lambda facts: facts.update(order="spiral"),
-            "the order 'spiral' is unknown to this mixseq; upgrade it",
-        ),
+        (lambda facts: facts["coding"].update(magic=1), "the parameter 'magic' is unknown to this mixseq; upgrade it"),
+        (lambda facts: facts.update(order="spiral"), "the order 'spiral' is unknown to this mixseq; upgrade it"),
         (lambda facts: facts["coding"].pop("step"), "parameters are missing .*step"),
         (lambda facts: facts.pop("coding"), "no parameters"),
-        (
-            lambda facts: facts["coding"].update(frame_count=99) or facts.update(frame_count=99),
-            "add up to 99 frames",
-        ),
+        (lambda facts: facts["coding"].update(frame_count=99) or facts.update(frame_count=99), "add up to 99 frames"),
         (lambda facts: facts["coding"].update(factors="x"), "factors is 'x'; trajectories or shapes"),
         (lambda facts: facts["coding"].update(rank=0), "rank is 0; a whole number above zero"),
         (lambda facts: facts["coding"].update(rank=2.5), "rank is 2.5; a whole number above zero"),

@@ -92,11 +92,7 @@ def test_the_node_stays_and_undoes_what_is_above_it(lifted: MeshSequence, tmp_pa
     np.testing.assert_array_equal(again.points, lifted.points)
 
 
-UNEVEN = {
-    "rotation": [0.36, -0.48, 0.64, 0.48],
-    "scale": [100, 100.00001, 99.99999],
-    "translation": [0.3, -7, 1e3],
-}
+UNEVEN = {"rotation": [0.36, -0.48, 0.64, 0.48], "scale": [100, 100.00001, 99.99999], "translation": [0.3, -7, 1e3]}
 
 
 def in_single_precision(sequence: MeshSequence) -> MeshSequence:
@@ -286,10 +282,7 @@ def test_turned_triangles_leave_nothing_behind(rig: Path, tmp_path: Path) -> Non
     document = written(tmp_path / "new.glb", read(rig, prim="rig/body")).json
     used = {number for sampler in document.get("animations", []) for number in sampler.values()}
     for primitive in (each for mesh in document["meshes"] for each in mesh["primitives"]):
-        used |= {
-            *primitive["attributes"].values(),
-            *([primitive["indices"]] if "indices" in primitive else []),
-        }
+        used |= {*primitive["attributes"].values(), *([primitive["indices"]] if "indices" in primitive else [])}
     assert used == set(range(len(document["accessors"])))
 
 
@@ -392,8 +385,7 @@ def with_colours(sequence: MeshSequence, change: Any) -> MeshSequence:
     colours = sequence.surface.colours
     assert colours is not None
     return replace(
-        sequence,
-        surface=replace(sequence.surface, colours=CornerValues(change(colours.values), colours.indices)),
+        sequence, surface=replace(sequence.surface, colours=CornerValues(change(colours.values), colours.indices))
     )
 
 

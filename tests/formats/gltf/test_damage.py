@@ -100,19 +100,13 @@ def test_extensions_that_do_not_matter(made: Callable[..., MeshSequence], name: 
 
 DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "cycle": (lambda it: it["nodes"].append({"children": [1]}), r"nodes\[1\] is below itself"),
-    "cycle of two": (
-        lambda it: it["nodes"].extend([{"children": [2]}, {"children": [1]}]),
-        "is below itself",
-    ),
+    "cycle of two": (lambda it: it["nodes"].extend([{"children": [2]}, {"children": [1]}]), "is below itself"),
     "two parents": (lambda it: it["nodes"].extend([{"children": [0]}] * 2), "child of two nodes, 1 and 2"),
     "no such child": (lambda it: it["nodes"].append({"children": [9]}), r"nodes\[9\] is referenced"),
     "no such mesh": (lambda it: it["nodes"][0].update(mesh=3), r"meshes\[3\] is referenced"),
     "negative mesh": (lambda it: it["nodes"][0].update(mesh=-1), r"nodes\[0\].mesh is missing or damaged"),
     "no such skin": (lambda it: it["nodes"][0].update(skin=0), r"skins\[0\] is referenced"),
-    "no joints": (
-        lambda it: it.update(skins=[{"joints": []}]) or it["nodes"][0].update(skin=0),
-        "has no joints",
-    ),
+    "no joints": (lambda it: it.update(skins=[{"joints": []}]) or it["nodes"][0].update(skin=0), "has no joints"),
     "no weights": (
         lambda it: it.update(skins=[{"joints": [0]}]) or it["nodes"][0].update(skin=0),
         "has no JOINTS_0 and WEIGHTS_0",
@@ -122,10 +116,7 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         r"nodes\[5\] is referenced",
     ),
     "no such scene": (lambda it: it.update(scene=4, scenes=[{}]), r"scenes\[4\]"),
-    "count": (
-        lambda it: it["accessors"][0].update(count=2**40),
-        r"accessors\[0\] has .* more than its 36 bytes",
-    ),
+    "count": (lambda it: it["accessors"][0].update(count=2**40), r"accessors\[0\] has .* more than its 36 bytes"),
     "count of zeros": (
         lambda it: it["accessors"].__setitem__(0, {"count": 10**9, "componentType": 5126, "type": "VEC3"}),
         "have 3000000000 numbers, but the file only",
@@ -137,32 +128,19 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "width": (lambda it: it["accessors"][0].update(type="VEC2"), "POSITION of shape"),
     "sparse": (
         lambda it: it["accessors"][0].update(
-            sparse={
-                "count": 1,
-                "indices": {"bufferView": 0, "byteOffset": 12, "componentType": 5125},
-                "values": {},
-            }
+            sparse={"count": 1, "indices": {"bufferView": 0, "byteOffset": 12, "componentType": 5125}, "values": {}}
         ),
         "indices go up to 1065353216, but there are 3",
     ),
     "indices": (lambda it: it["meshes"][0]["primitives"][0].update(indices=1), "integers are expected"),
     "mode": (lambda it: it["meshes"][0]["primitives"][0].update(mode="fan"), "mode is missing or damaged"),
     "sampler": (lambda it: it["animations"][0]["channels"][0].update(sampler=5), "has sampler 5 of 1"),
-    "interpolation": (
-        lambda it: it["animations"][0]["samplers"][0].update(interpolation="BEZIER"),
-        "'BEZIER'",
-    ),
+    "interpolation": (lambda it: it["animations"][0]["samplers"][0].update(interpolation="BEZIER"), "'BEZIER'"),
     "keys": (lambda it: it["accessors"][2].update(count=1), "has 6 values for 1 keys of translation"),
     "times": (lambda it: it["animations"][0]["samplers"][0].update(input=1), "times that do not increase"),
-    "matrix": (
-        lambda it: it["nodes"][0].update(matrix=np.eye(4).ravel().tolist()),
-        "its translation is animated",
-    ),
+    "matrix": (lambda it: it["nodes"][0].update(matrix=np.eye(4).ravel().tolist()), "its translation is animated"),
     "short matrix": (lambda it: it["nodes"][0].update(matrix=[1]), "a list of 16 finite numbers"),
-    "buffer": (
-        lambda it: it.update(bufferViews=[{"buffer": 7, "byteLength": 1}] * 3),
-        r"buffers\[7\] is referenced",
-    ),
+    "buffer": (lambda it: it.update(bufferViews=[{"buffer": 7, "byteLength": 1}] * 3), r"buffers\[7\] is referenced"),
     "version": (lambda it: it["asset"].update(version="1.0"), "version 1.0; convert it to version 2"),
     "asset": (lambda it: it.pop("asset"), "version unknown"),
     "no nodes": (lambda it: it.pop("nodes"), "no triangles to read"),

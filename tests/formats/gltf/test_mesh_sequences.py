@@ -305,18 +305,12 @@ def test_other_glb_files_are_sequences(tmp_path: Path, sequence: MeshSequence) -
 
 
 CHANGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
-    (
-        lambda c: extension_of(c).pop("coding"),
-        "coding is missing or damaged; a non-negative integer is expected",
-    ),
+    (lambda c: extension_of(c).pop("coding"), "coding is missing or damaged; a non-negative integer is expected"),
     (lambda c: extension_of(c).update(streams=99), r"bufferViews\[99\] is referenced, but there are"),
     (lambda c: extension_of(c).update(streams=-1), "streams is missing or damaged"),
     (lambda c: extension_of(c).update(coding=1), "its index is damaged"),
     (lambda c: extension_of(c).update(version=9), "of version 9, this mixseq reads 1"),
-    (
-        lambda c: c["meshes"][0].update(extensions=3),
-        "extensions is missing or damaged; an object is expected",
-    ),
+    (lambda c: c["meshes"][0].update(extensions=3), "extensions is missing or damaged; an object is expected"),
     (lambda c: c["meshes"][0]["extensions"].update({NAME: []}), "an object is expected"),
     (lambda c: c["bufferViews"][1].update(byteLength=1 << 20), "does not fit its buffer"),
     (lambda c: c["bufferViews"][1].update(byteLength=10), "its index is damaged"),

@@ -67,22 +67,13 @@ def test_difference_from_a_mirrored_mesh(tmp_path: Path) -> None:
             "has no mesh with the faces of 'rig/body'",
         ),
         (lambda document: twin(document), "has 2 meshes with the faces of 'rig/body', 'rig/torso', 'twin'"),
-        (
-            lambda document: document["nodes"][1].update(mesh=1),
-            "no mesh with the faces of 'rig/body': it has",
-        ),
+        (lambda document: document["nodes"][1].update(mesh=1), "no mesh with the faces of 'rig/body': it has"),
         (
             lambda document: document["meshes"][0]["primitives"][0].update(mode=6),
             "has no mesh with the faces of 'rig/body'",
         ),
-        (
-            lambda document: document["bufferViews"][0].update(byteLength=1 << 40),
-            "bufferViews.0. does not fit",
-        ),
-        (
-            lambda document: document["materials"][0].update(alphaCutoff=float("nan")),
-            "is damaged, truncated or",
-        ),
+        (lambda document: document["bufferViews"][0].update(byteLength=1 << 40), "bufferViews.0. does not fit"),
+        (lambda document: document["materials"][0].update(alphaCutoff=float("nan")), "is damaged, truncated or"),
         (lambda document: document["images"].append(7), "is damaged, truncated or"),
         (lambda document: document["animations"].append({"channels": [{}]}), "is damaged, truncated or"),
     ],

@@ -152,11 +152,7 @@ def test_a_bone_occurs_once_per_vertex_and_weights_add_to_one() -> None:
     influences = np.tile([2, 1, 1, 2], (len(skin.rest), 1))
     influences[0] = [2, 1, 0, 2]
     joint, weight = four_influences(replace(skin, weights=weights, influences=influences))
-    assert (joint[0].tolist(), joint[1].tolist(), joint[2].tolist()) == (
-        [2, 1, 0, 0],
-        [1, 0, 0, 0],
-        [2, 1, 0, 0],
-    )
+    assert (joint[0].tolist(), joint[1].tolist(), joint[2].tolist()) == ([2, 1, 0, 0], [1, 0, 0, 0], [2, 1, 0, 0])
     np.testing.assert_allclose(weight[2], [0.6, 0.4, 0, 0], rtol=1e-6)
     assert np.abs(weight.sum(axis=1, dtype=np.float64) - 1).max() < 1e-7
     assert weight[1].tolist() == [1, 0, 0, 0]
@@ -230,9 +226,7 @@ def test_a_morph_comes_back(tmp_path: Path, suffix: str) -> None:
 def test_targets_whose_weights_never_change_are_in_the_base(tmp_path: Path) -> None:
     morph = swelling()
     more = replace(
-        morph,
-        targets=np.repeat(morph.targets, 2, axis=0),
-        weights=np.append(morph.weights, 0 * morph.weights, axis=1),
+        morph, targets=np.repeat(morph.targets, 2, axis=0), weights=np.append(morph.weights, 0 * morph.weights, axis=1)
     )
     assert len(written(tmp_path / "a.glb", more).primitives("bar")[0]["targets"]) == 1
     held = replace(more, weights=np.append(morph.weights, 0 * morph.weights + 0.5, axis=1))
@@ -372,9 +366,7 @@ def test_a_turned_bone_takes_the_mesh_along(tmp_path: Path) -> None:
     skin = hinge(frames=1)
     turn = rotation((0.0, 0.0, np.pi))
     whole = replace(
-        skin,
-        rotations=np.array([[[0, 0, 1.0, 0], [0, 0, 1.0, 0]]]),
-        translations=np.array([[[1.0, 2, 3], [1, 2, 5]]]),
+        skin, rotations=np.array([[[0, 0, 1.0, 0], [0, 0, 1.0, 0]]]), translations=np.array([[[1.0, 2, 3], [1, 2, 5]]])
     )
     mixseq.write_rig(tmp_path / "a.glb", whole)
     np.testing.assert_allclose(read(tmp_path / "a.glb").points[0], skin.rest @ turn.T + [1, 2, 3], atol=1e-6)

@@ -31,13 +31,7 @@ def moving_square(frames: int = 3, **header: Any) -> MeshSequence:
     """Return a square whose upper edge is lifted by 0, 1, 4, 9 ..."""
     points = np.tile(SQUARE, (frames, 1, 1))
     points[:, 2:, 2] = (np.arange(frames) ** 2)[:, None]
-    fields = {
-        "polygons": TWO,
-        "vertex_count": 4,
-        "times": np.arange(frames) / 2,
-        "fps": 2.0,
-        "name": "square",
-    }
+    fields = {"polygons": TWO, "vertex_count": 4, "times": np.arange(frames) / 2, "fps": 2.0, "name": "square"}
     return MeshSequence(points=points, **{**fields, **header})
 
 
@@ -85,14 +79,7 @@ def test_weights_choose_one_target_at_each_key(tmp_path: Path) -> None:
 
 def test_between_frames_points_move_in_straight_lines(tmp_path: Path) -> None:
     file = written(tmp_path / "a.glb", moving_square())
-    assert [file.played("square", time)[2, 2] for time in (0, 0.25, 0.5, 0.75, 1, 7)] == [
-        0,
-        0.5,
-        1,
-        2.5,
-        4,
-        4,
-    ]
+    assert [file.played("square", time)[2, 2] for time in (0, 0.25, 0.5, 0.75, 1, 7)] == [0, 0.5, 1, 2.5, 4, 4]
 
 
 def test_normals_follow_the_surface(tmp_path: Path) -> None:
@@ -164,11 +151,7 @@ def test_face_sets_become_primitives_with_plain_materials(tmp_path: Path) -> Non
 
 
 def test_of_overlapping_face_sets_the_first_with_a_material_wins(tmp_path: Path) -> None:
-    sets = (
-        FaceSet("left", np.array([0])),
-        FaceSet("a", np.array([0]), "a"),
-        FaceSet("b", np.array([0]), "b"),
-    )
+    sets = (FaceSet("left", np.array([0])), FaceSet("a", np.array([0]), "a"), FaceSet("b", np.array([0]), "b"))
     with pytest.warns(MixseqWarning, match="cannot hold face sets that overlap"):
         file = written(tmp_path / "a.glb", moving_square(surface=Surface(face_sets=sets)))
     assert [each["name"] for each in file.json["materials"]] == ["a"]
@@ -198,10 +181,7 @@ def test_objects_become_nodes_of_one_animation(tmp_path: Path) -> None:
     file = written(tmp_path / "a.glb", sequence)
     (root,) = file.json["scenes"][0]["nodes"]
     assert file.json["nodes"][root]["name"] == "pair"
-    assert [file.json["nodes"][child]["name"] for child in file.json["nodes"][root]["children"]] == [
-        "left",
-        "right",
-    ]
+    assert [file.json["nodes"][child]["name"] for child in file.json["nodes"][root]["children"]] == ["left", "right"]
     assert len(file.json["animations"]) == 1
     np.testing.assert_allclose(file.played("left", 2), points[2, :3], atol=1e-6)
     np.testing.assert_allclose(file.played("right", 2), points[2, 3:], atol=1e-6)
@@ -219,8 +199,7 @@ def test_objects_without_polygons_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("up_axis", "upwards"),
-    [("X", [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]), ("Z", [[1, 0, 0], [0, 0, -1], [0, 1, 0]])],
+    ("up_axis", "upwards"), [("X", [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]), ("Z", [[1, 0, 0], [0, 0, -1], [0, 1, 0]])]
 )
 def test_a_node_shows_points_upright_and_in_metres(tmp_path: Path, up_axis: str, upwards: list[list[int]]) -> None:
     sequence = moving_square(up_axis=up_axis, metres_per_unit=0.5)
@@ -301,10 +280,7 @@ def no_blocks(sequence: MeshSequence) -> Iterator[FloatArray]:
 
 @pytest.mark.parametrize(
     ("suffix", "frames", "message"),
-    [
-        (".glb", 33_000, r"take 4.3\d GB, but a GLB file cannot exceed"),
-        (".gltf", 11_000, "text file; write .glb"),
-    ],
+    [(".glb", 33_000, r"take 4.3\d GB, but a GLB file cannot exceed"), (".gltf", 11_000, "text file; write .glb")],
 )
 def test_too_large_files_are_refused_at_once(tmp_path: Path, suffix: str, frames: int, message: str) -> None:
     sequence = moving_square()
@@ -316,8 +292,7 @@ def test_too_large_files_are_refused_at_once(tmp_path: Path, suffix: str, frames
 
 def test_many_frames_are_warned_about(tmp_path: Path) -> None:
     with pytest.warns(
-        MixseqWarning,
-        match="each of the 1001 frames is a morph target, of which browsers usually show about 1000",
+        MixseqWarning, match="each of the 1001 frames is a morph target, of which browsers usually show about 1000"
     ):
         written(tmp_path / "a.glb", moving_square(1001))
 

@@ -36,11 +36,7 @@ def test_triangles_have_the_labels_of_their_polygons_and_polygons_those_of_most_
 
 def test_polygons_in_several_sets_or_in_none() -> None:
     strip = Polygons.from_triangles(grid(1, 2)[1])
-    sets = [
-        FaceSet("arm", np.array([0, 1])),
-        FaceSet("skin", np.array([1, 2])),
-        FaceSet("arm", np.array([2])),
-    ]
+    sets = [FaceSet("arm", np.array([0, 1])), FaceSet("skin", np.array([1, 2])), FaceSet("arm", np.array([2]))]
     assert told(labels_from_sets(sets, strip)) == ["arm", "arm+skin", "arm+skin", "(none)"]
     assert labels_from_sets(sets, strip).names == ("arm", "arm+skin", "(none)")
 

@@ -125,19 +125,12 @@ def test_npz(name: str, tmp_path: Path) -> None:
     assert told(read_labels(saved(**{name: [7, 5]}), mesh())) == ["7", "7", "5"]
     assert told(read_labels(saved(**{name: ["leg", "arm"]}), mesh())) == ["leg", "leg", "arm"]
     named = saved(**{name: [1, 0, 1]}, names=["a", "b", "c"])
-    assert (told(read_labels(named, mesh())), read_labels(named, mesh()).names) == (
-        ["b", "a", "b"],
-        ("a", "b", "c"),
-    )
+    assert (told(read_labels(named, mesh())), read_labels(named, mesh()).names) == (["b", "a", "b"], ("a", "b", "c"))
 
 
 def test_a_sequence_may_bring_its_labels_along(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    arrays: dict[str, Any] = {
-        "face_counts": FACES.counts,
-        "face_indices": FACES.indices,
-        "points": POINTS[None],
-    }
+    arrays: dict[str, Any] = {"face_counts": FACES.counts, "face_indices": FACES.indices, "points": POINTS[None]}
     np.savez(path, labels=[0, 1, 1], **arrays)
     assert read_labels(path, read(path)).part_of_face.tolist() == [0, 1, 1]
     with open_sequence(path) as reader:

@@ -55,21 +55,9 @@ def many_colours(path: Path) -> Path:
     [
         ("a.obj", nothing, None, FormatError, "no labels of faces; it has no labels, face sets"),
         ("a.obj", groups, "skeleton", FormatError, "no 'skeleton' to label faces by; it has groups"),
-        (
-            "a.usda",
-            two_sources,
-            None,
-            AmbiguousError,
-            "several sources of labels: limbs, colours; choose one",
-        ),
+        ("a.usda", two_sources, None, AmbiguousError, "several sources of labels: limbs, colours; choose one"),
         ("a.ply", many_colours, None, FormatError, "441 vertex colours, too many for a segmentation"),
-        (
-            "a.npz",
-            arrays(labels=np.zeros(4, int)),
-            None,
-            FormatError,
-            "4 labels, .* 3 triangles and 2 polygons",
-        ),
+        ("a.npz", arrays(labels=np.zeros(4, int)), None, FormatError, "4 labels, .* 3 triangles and 2 polygons"),
         ("a.npz", arrays(labels=[0.5, 1, 2]), None, FormatError, "whole numbers or names"),
         ("a.npz", arrays(labels=[[0, 1, 2]]), None, FormatError, r"shape \(1, 3\)"),
         ("a.npz", arrays(paint=[0, 1, 2]), None, FormatError, "arrays paint; `part_of_face` or `labels`"),
@@ -78,12 +66,7 @@ def many_colours(path: Path) -> Path:
     ],
 )
 def test_refusals(
-    name: str,
-    make: Callable[[Path], Path],
-    source: str | None,
-    kind: type[MixseqError],
-    message: str,
-    tmp_path: Path,
+    name: str, make: Callable[[Path], Path], source: str | None, kind: type[MixseqError], message: str, tmp_path: Path
 ) -> None:
     path = make(tmp_path / name)
     whole = read(path) if name.endswith(("usda", "ply")) else mesh()

@@ -84,12 +84,7 @@ DATASETS = {
 }
 """By the names of `models`."""
 
-SETTINGS = {
-    "mixed": {"projection"},
-    "free": {"projection"},
-    "edge": {"shell", "edge"},
-    "volume": {"shell", "edge"},
-}
+SETTINGS = {"mixed": {"projection"}, "free": {"projection"}, "edge": {"shell", "edge"}, "volume": {"shell", "edge"}}
 
 EACH_DATASET = [
     (space, name)

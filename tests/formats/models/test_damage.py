@@ -253,8 +253,7 @@ def test_other_versions_are_refused(copy: Path, version: int) -> None:
     with h5py.File(copy, "r+") as file:
         file.attrs["version"] = version
     with pytest.raises(
-        FormatError,
-        match=rf"has version {version} .* reads version 1; it was written by another version of mixseq",
+        FormatError, match=rf"has version {version} .* reads version 1; it was written by another version of mixseq"
     ):
         mixseq.load(copy)
 

@@ -39,8 +39,7 @@ def assert_kept(original: Model, path: Path) -> None:
 
 @pytest.mark.parametrize("placement", PLACEMENTS)
 @pytest.mark.parametrize(
-    "name",
-    ["bar", "rigid component", "several components", "unused vertices", "still", "one frame", "float32"],
+    "name", ["bar", "rigid component", "several components", "unused vertices", "still", "one frame", "float32"]
 )
 def test_nothing_is_lost(name: str, placement: Any, tmp_path: Path) -> None:
     assert_kept(mixseq.fit(SEQUENCES[name](), placement=placement, exact=True), tmp_path / "model.h5")
@@ -59,12 +58,7 @@ def test_nothing_is_lost_in_other_spaces(name: str, space: Any, tmp_path: Path) 
 
 @pytest.mark.parametrize(
     "settings",
-    [
-        {"tolerance": 1e-2},
-        {"rank": 0},
-        {"rank": 2, "knots": [0.3]},
-        {"rank": 2, "knots": 0, "space": "vertex"},
-    ],
+    [{"tolerance": 1e-2}, {"rank": 0}, {"rank": 2, "knots": [0.3]}, {"rank": 2, "knots": 0, "space": "vertex"}],
     ids=str,
 )
 def test_nothing_is_lost_of_signals_with_less_detail(settings: dict[str, Any], tmp_path: Path) -> None:

@@ -21,11 +21,7 @@ class TestChoosing:
         assert joined.name == "hero"
         assert (joined.times * 24).tolist() == [1, 2, 3]
         assert joined.polygons.indices.tolist() == [*INDICES, *(index + 5 for index in INDICES)]
-        assert joined.points[:, [0, 5], 2].tolist() == [
-            [1, 2],
-            [2, 2],
-            [3, 3],
-        ]  # held before the first sample
+        assert joined.points[:, [0, 5], 2].tolist() == [[1, 2], [2, 2], [3, 3]]  # held before the first sample
         assert joined.surface.origin is not None
         assert (joined.surface.origin.format, Path(joined.surface.origin.path).name) == ("USD", "scene.usda")
 

@@ -131,11 +131,7 @@ def test_everything_on_a_mesh_comes_back(path: Path) -> None:
     )
     np.testing.assert_array_equal(one, other)
     sets = {each.name: (each.polygons.tolist(), each.material) for each in after.face_sets}
-    assert sets == {
-        "skin": ([0], "/pair/Looks/skin"),
-        "left half": ([0, 1], ""),
-        "cloth": ([2], "/pair/Looks/cloth"),
-    }
+    assert sets == {"skin": ([0], "/pair/Looks/skin"), "left half": ([0, 1], ""), "cloth": ([2], "/pair/Looks/cloth")}
 
 
 def test_normals_follow_the_hard_edges(path: Path) -> None:
@@ -187,10 +183,7 @@ def test_names_that_no_prim_can_have(path: Path) -> None:
     objects = (MeshObject("leg.L", "", 5, 2), MeshObject("leg.R", "", 3, 1))
     points = np.concatenate([lift(), 5 + lift()[:, :3]], axis=1)
     written = MeshSequence.from_arrays(points, FACES_OF_TWO, name="1st try")
-    save(
-        path,
-        MeshSequence(**{**header_fields(written), "surface": Surface(objects=objects), "points": points}),
-    )
+    save(path, MeshSequence(**{**header_fields(written), "surface": Surface(objects=objects), "points": points}))
     got = load(path)
     assert (got.name, [each.name for each in got.objects]) == ("1st try", ["leg.L", "leg.R"])
 
@@ -310,8 +303,7 @@ def test_colours(
     points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)[None]
     square = MeshSequence.from_arrays(points, [[0, 1, 2], [0, 2, 3]])
     write(
-        tmp_path / "a.usda",
-        replace(square, surface=Surface(colours=CornerValues(np.array(values), np.array(indices)))),
+        tmp_path / "a.usda", replace(square, surface=Surface(colours=CornerValues(np.array(values), np.array(indices))))
     )
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/mesh/mesh"))

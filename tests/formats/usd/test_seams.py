@@ -183,9 +183,7 @@ def test_an_original_that_does_not_fit_is_not_replaced(tmp_path: Path) -> None:
     path = save(tmp_path / "square.usda")
     square, before = read(path), path.read_bytes()
     other = replace(
-        square,
-        polygons=Polygons(np.array([4]), np.array([0, 1, 2, 3])),
-        surface=Surface(origin=square.surface.origin),
+        square, polygons=Polygons(np.array([4]), np.array([0, 1, 2, 3])), surface=Surface(origin=square.surface.origin)
     )
     with pytest.raises(OutputError, match="is the original, or a layer that it uses, and would be lost"):
         write(path, other)

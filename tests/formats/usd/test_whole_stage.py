@@ -84,11 +84,7 @@ def test_everything_shows_the_same_time(scene: Asset, path: Path, name: str, opt
     for frame, (code, below) in enumerate(zip(CODES.tolist(), shown.tolist(), strict=True)):
         for prim in ("/set/eye", "/set/hair", "/set"):
             np.testing.assert_allclose(world(stage, prim, code), world(before, prim, below), atol=1e-6)
-        for attribute in (
-            "/set/eye.focalLength",
-            "/set/hair.points",
-            "/set/looks/wool/surface.inputs:roughness",
-        ):
+        for attribute in ("/set/eye.focalLength", "/set/hair.points", "/set/looks/wool/surface.inputs:roughness"):
             got, known = (
                 each.GetAttributeAtPath(attribute).Get(time) for each, time in ((stage, code), (before, below))
             )

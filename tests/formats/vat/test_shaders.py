@@ -361,13 +361,7 @@ def test_a_browser_draws_the_frames(written: tuple[Path, VatReport], fox: MeshSe
     shown = page.evaluate(DRAWN, ["http://127.0.0.1/fox.vat/", [0, 3, 3.5, 7, 9]])
     assert shown["error"] == 0
     vertices, diagonal = Texels.from_header(fox.header).vertices, bounding_diagonal(fox.points[0])
-    expected = [
-        fox.points[0],
-        fox.points[3],
-        (fox.points[3] + fox.points[4]) / 2,
-        fox.points[7],
-        fox.points[7],
-    ]
+    expected = [fox.points[0], fox.points[3], (fox.points[3] + fox.points[4]) / 2, fox.points[7], fox.points[7]]
     for (points, normals), wanted in zip(shown["found"], expected, strict=True):
         apart = np.linalg.norm(floats(points) - wanted[vertices], axis=1).max() / diagonal
         assert apart <= report.max_error + 1e-6
