@@ -25,7 +25,7 @@ def command(quiet: bool) -> None:
     """Compile inner loops in advance, so that later runs start at once.
 
     Inner loops are compiled at their first use and then kept on disk. This command compresses, fits and decodes a small
-    walk in single and double precision, and discards the result.
+    walk in single and double precision, transfers it, and discards the result.
     """
     start = perf_counter()
     with progress_bar(quiet) as progress, _work() as steps:
@@ -51,6 +51,9 @@ def _work() -> Iterator[list[tuple[str, Callable[[], object]]]]:
     uvs = CornerValues(walk.points[0][:, :2], corners)
     walk = replace(walk, surface=Surface(uvs=uvs, hard_edges=corners))
     coarse = walk.with_points(walk.points.astype(np.float32))
+    last = walk.points.shape[1] - 1
+    reversed_mesh = mixseq.MeshSequence.from_arrays(walk.points[:1, ::-1], last - walk.faces)
+    markers = [(vertex, last - vertex) for vertex in range(0, last, 100)]
 
     def sample(model: Model) -> None:
         model.sample(fps=30, velocities=True)
@@ -62,4 +65,5 @@ def _work() -> Iterator[list[tuple[str, Callable[[], object]]]]:
             ("decoding", lambda: sample(mixseq.load(file))),
             ("fitting, anchored", lambda: sample(mixseq.fit(coarse, placement="anchored"))),
             ("fitting, free", lambda: sample(mixseq.fit(walk, placement="free"))),
+            ("transferring", lambda: mixseq.transfer(walk[:2], reversed_mesh, markers)),
         ]

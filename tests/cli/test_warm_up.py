@@ -42,6 +42,8 @@ walk = walk_cycle(frames=4)
 mixseq.save("walk.h5", mixseq.compress(walk, kg=2.0))
 mixseq.load("walk.h5")(0.1)
 mixseq.fit(walk).sample()
+mesh = mixseq.MeshSequence.from_arrays(walk.points[:1, ::-1], walk.points.shape[1] - 1 - walk.faces)
+mixseq.transfer(walk, mesh, [(vertex, walk.points.shape[1] - 1 - vertex) for vertex in range(0, 1600, 100)])
 """
 
 
