@@ -98,8 +98,9 @@ def test_results_are_in_order_whatever_dies(tmp_path: Path) -> None:
         results.close()  # type: ignore[attr-defined]
         assert len(taken) <= 4
         assert list(workers(pow, 2, range(20))) == [2**power for power in range(20)]
-        for process in processes_of(workers):
-            os.kill(process or 0, signal.SIGKILL)
+        for worker in workers._workers:
+            worker.process.kill()
+            worker.process.join()
         assert list(workers(killed, tmp_path, ["never", "once", "never"])) == ["never", "once", "never"]
         with pytest.raises(ZeroDivisionError):
             list(workers(divided, 6, [1, 0]))
