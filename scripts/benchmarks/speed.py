@@ -46,7 +46,7 @@ SKIN_ERROR = 5e-3
 """Bound in diagonals of skins."""
 
 TALLER = 1.0, 1.2, 1.0
-BATCH_SIZE = 4
+BATCH_SIZE = 12
 BATCHES = ("--threads", 2), ("--cluster", "local:2")
 
 STARTS = {"first frame": "model(model.times[0])", "between frames, as players": "model.playback(between)",
